@@ -1,0 +1,77 @@
+"""Reads text, YAML and JSON with errors that name the file; every loader goes through here."""
+
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from tagvo.errors import TagvoError
+
+try:  # the C parser is ten times faster and comes with the wheels
+    from yaml import CSafeLoader as _Loader
+except ImportError:  # pragma: no cover - pure-Python PyYAML
+    from yaml import SafeLoader as _Loader  # type: ignore[assignment]
+
+
+def read_text(path: Path, error: type[TagvoError] = TagvoError) -> str:
+    """Text of a UTF-8 file; raises `error` naming the file where it cannot be read."""
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise error(f"{path}: no such file") from None
+    except IsADirectoryError:
+        raise error(f"{path}: is a folder, a file is needed") from None
+    except UnicodeDecodeError as err:
+        raise error(f"{path}: not a text file ({err.reason} at byte {err.start})") from None
+    except OSError as err:
+        raise error(f"{path}: cannot be read ({err.strerror})") from None
+
+
+def parse_yaml(text: str, where: str, error: type[TagvoError] = TagvoError) -> Any:
+    """YAML value of a text; OpenCV's `%YAML:1.0` first line is accepted."""
+    text = re.sub(r"\A%YAML:1\.0[^\n]*\n(---[^\n]*\n)?", "", text)
+    text = text.replace("!!opencv-matrix", "")
+    try:
+        return yaml.load(text, Loader=_Loader)  # _Loader is a safe loader
+    except yaml.YAMLError as err:
+        mark = getattr(err, "problem_mark", None)
+        line = f" line {mark.line + 1}" if mark is not None else ""
+        reason = getattr(err, "problem", None) or str(err).splitlines()[0]
+        raise error(f"{where}{line}: not valid YAML ({reason})") from None
+
+
+def read_yaml(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any]:
+    """YAML mapping of a file; raises `error` where it is not YAML or not a mapping."""
+    value = parse_yaml(read_text(path, error), str(path), error)
+    if not isinstance(value, dict):
+        kind = "empty" if value is None else f"a {type(value).__name__}"
+        raise error(f"{path}: the file is {kind}; a mapping `key: value` is needed")
+    return value
+
+
+def read_json(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any]:
+    """JSON object of a file; raises `error` where it is not JSON or not an object."""
+    try:
+        value = json.loads(read_text(path, error))
+    except json.JSONDecodeError as err:
+        raise error(f"{path} line {err.lineno}: not valid JSON ({err.msg})") from None
+    if not isinstance(value, dict):
+        raise error(f"{path}: holds a {type(value).__name__}; a JSON object is needed")
+    return value
+
+
+def write_atomic(path: Path, text: str) -> None:
+    """Write a text file whole or not at all: a power cut leaves the old file or the new one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
