@@ -51,7 +51,7 @@ class Camera:
 
 def _radtan(x_n: Array, k: Array) -> tuple[Array, Array]:
     """Distorted normalised coordinates and their Jacobian; (..., 2) -> (..., 2), (..., 2, 2)."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = [*k.tolist(), *([0.0] * (8 - len(k)))]
+    k1, k2, p1, p2, k3, k4, k5, k6 = np.concatenate([k, np.zeros(8 - len(k))]).tolist()
     x, y = x_n[..., 0], x_n[..., 1]
     xy, xx, yy = x * y, x * x, y * y
     r2 = xx + yy
