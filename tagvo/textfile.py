@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,18 @@ import yaml
 from tagvo.errors import TagvoError
 
 try:  # the C parser is ten times faster and comes with the wheels
-    from yaml import CSafeLoader as _Loader
+    from yaml import CSafeLoader as _SafeLoader
 except ImportError:  # pragma: no cover - pure-Python PyYAML
-    from yaml import SafeLoader as _Loader  # type: ignore[assignment]
+    from yaml import SafeLoader as _SafeLoader  # type: ignore[assignment]
+
+
+class _Loader(_SafeLoader):
+    """A safe loader that reads 1e-3 as a number, as YAML 1.2 does; PyYAML alone makes it text."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
 
 
 def read_text(path: Path, error: type[TagvoError] = TagvoError) -> str:
@@ -41,6 +51,8 @@ def parse_yaml(text: str, where: str, error: type[TagvoError] = TagvoError) -> A
         line = f" line {mark.line + 1}" if mark is not None else ""
         reason = getattr(err, "problem", None) or str(err).splitlines()[0]
         raise error(f"{where}{line}: not valid YAML ({reason})") from None
+    except (ValueError, RecursionError) as err:  # a date that is none, a million brackets
+        raise error(f"{where}: not valid YAML ({err})") from None
 
 
 def read_yaml(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any]:
@@ -61,6 +73,26 @@ def read_json(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any
     if not isinstance(value, dict):
         raise error(f"{path}: holds a {type(value).__name__}; a JSON object is needed")
     return value
+
+
+def finite_numbers(value: object, count: int, where: str, error: type[TagvoError]) -> list[float]:
+    """`count` finite numbers of a YAML or JSON list; `error` says what came otherwise."""
+    if isinstance(value, list | tuple) and len(value) == count and all(map(_is_number, value)):
+        return [float(v) for v in value]
+    raise error(f"{where}: {value!r}; a list of {count} finite numbers is needed")
+
+
+def finite_number(value: object, where: str, error: type[TagvoError]) -> float:
+    """One finite number of a YAML or JSON file; `error` says what came otherwise."""
+    if not _is_number(value):
+        raise error(f"{where}: {value!r}; a finite number is needed")
+    return float(value)  # type: ignore[arg-type]
+
+
+def _is_number(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= sys.float_info.max  # False for NaN, inf and whole numbers too big
 
 
 def write_atomic(path: Path, text: str) -> None:
