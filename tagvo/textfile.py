@@ -26,10 +26,13 @@ _Loader.add_implicit_resolver(
 )
 
 
-def read_text(path: Path, error: type[TagvoError] = TagvoError) -> str:
-    """Text of a UTF-8 file; raises `error` naming the file where it cannot be read."""
+def read_text(path: Path, error: type[Exception] = TagvoError, undecodable: str = "strict") -> str:
+    """Text of a UTF-8 file; raises `error` naming the file where it cannot be read.
+
+    `undecodable` says what becomes of bytes that are no UTF-8: strict (an error) or replace.
+    """
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return path.read_text(encoding="utf-8-sig", errors=undecodable)
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
     except IsADirectoryError:
@@ -40,7 +43,7 @@ def read_text(path: Path, error: type[TagvoError] = TagvoError) -> str:
         raise error(f"{path}: cannot be read ({err.strerror})") from None
 
 
-def parse_yaml(text: str, where: str, error: type[TagvoError] = TagvoError) -> Any:
+def parse_yaml(text: str, where: str, error: type[Exception] = TagvoError) -> Any:
     """YAML value of a text; OpenCV's `%YAML:1.0` first line is accepted."""
     text = re.sub(r"\A%YAML:1\.0[^\n]*\n(---[^\n]*\n)?", "", text)
     text = text.replace("!!opencv-matrix", "")
@@ -55,7 +58,7 @@ def parse_yaml(text: str, where: str, error: type[TagvoError] = TagvoError) -> A
         raise error(f"{where}: not valid YAML ({err})") from None
 
 
-def read_yaml(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any]:
+def read_yaml(path: Path, error: type[Exception] = TagvoError) -> dict[str, Any]:
     """YAML mapping of a file; raises `error` where it is not YAML or not a mapping."""
     value = parse_yaml(read_text(path, error), str(path), error)
     if not isinstance(value, dict):
@@ -64,7 +67,7 @@ def read_yaml(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any
     return value
 
 
-def read_json(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any]:
+def read_json(path: Path, error: type[Exception] = TagvoError) -> dict[str, Any]:
     """JSON object of a file; raises `error` where it is not JSON or not an object."""
     try:
         value = json.loads(read_text(path, error))
@@ -75,14 +78,14 @@ def read_json(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any
     return value
 
 
-def finite_numbers(value: object, count: int, where: str, error: type[TagvoError]) -> list[float]:
+def finite_numbers(value: object, count: int, where: str, error: type[Exception]) -> list[float]:
     """`count` finite numbers of a YAML or JSON list; `error` says what came otherwise."""
     if isinstance(value, list | tuple) and len(value) == count and all(map(_is_number, value)):
         return [float(v) for v in value]
     raise error(f"{where}: {value!r}; a list of {count} finite numbers is needed")
 
 
-def finite_number(value: object, where: str, error: type[TagvoError]) -> float:
+def finite_number(value: object, where: str, error: type[Exception]) -> float:
     """One finite number of a YAML or JSON file; `error` says what came otherwise."""
     if not _is_number(value):
         raise error(f"{where}: {value!r}; a finite number is needed")
