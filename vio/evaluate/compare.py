@@ -45,17 +45,18 @@ class Column:
 
 
 COLUMNS = (
-    Column("position_rmse_m", "position rms mm", 1e3, 2, "min"),
+    Column("position_rmse_m", "pos rms mm", 1e3, 2, "min"),
     Column("position_median_m", "median mm", 1e3, 2, "min"),
     Column("position_p95_m", "p95 mm", 1e3, 2, "min"),
     Column("position_max_m", "max mm", 1e3, 1, "min"),
-    Column("rotation_rmse_deg", "rotation rms deg", 1.0, 3, "min"),
+    Column("rotation_rmse_deg", "rot rms deg", 1.0, 3, "min"),
     Column("rotation_median_deg", "median deg", 1.0, 3, "min"),
-    Column("velocity_rmse_m_s", "velocity rms mm/s", 1e3, 1, "min"),
+    Column("velocity_rmse_m_s", "vel rms mm/s", 1e3, 1, "min"),
     Column("nees_pose", "NEES /6", 1.0, 2, "none"),
     Column("coverage", "cover %", 1e2, 1, "max"),
     Column("n", "n", 1.0, 0, "none"),
 )
+_NARROW = tuple(c for c in COLUMNS if c.key not in ("rotation_median_deg", "n"))  # 80 characters
 
 
 def judge(
@@ -129,9 +130,9 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def best_of(content: Mapping[str, Any], view: str, column: Column) -> str | None:
-    """The estimator with the better figure in a view; None with fewer than two or a tie."""
+    """The estimator with the better figure in a view; None with fewer than two or all equal."""
     values: dict[str, float] = {
-        name: views[view][column.key]
+        name: round(views[view][column.key] * column.factor, column.digits)
         for name, views in content["estimators"].items()
         if views[view] is not None and views[view][column.key] is not None
     }
@@ -141,14 +142,16 @@ def best_of(content: Mapping[str, Any], view: str, column: Column) -> str | None
     return str(pick(values, key=lambda name: values[name]))
 
 
-def rows(content: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str, bool]]]]:
+def rows(
+    content: Mapping[str, Any], columns: Sequence[Column] = COLUMNS
+) -> list[tuple[str, str, list[tuple[str, bool]]]]:
     """Estimator, view and cells (text, is it the better?), a row per estimator and view."""
-    best = {(v, c.key): best_of(content, v, c) for v in VIEWS for c in COLUMNS}
+    best = {(v, c.key): best_of(content, v, c) for v in VIEWS for c in columns}
     out = []
     for name, views in content["estimators"].items():
         for view in VIEWS:
             figures = views[view] or {}
-            cells = [(_text(figures.get(c.key), c), best[view, c.key] == name) for c in COLUMNS]
+            cells = [(_text(figures.get(c.key), c), best[view, c.key] == name) for c in columns]
             out.append((name, view, cells))
     return out
 
@@ -163,13 +166,17 @@ def table(content: Mapping[str, Any]) -> Table:
     out = Table(title=title, box=SIMPLE_HEAD, padding=(0, 0, 0, 1), pad_edge=False)
     out.add_column("", no_wrap=True)
     out.add_column("view", no_wrap=True)
-    for column in COLUMNS:
+    for column in _NARROW:
         out.add_column(column.title.replace(" ", "\n"), justify="right", no_wrap=True)
-    for name, view, cells in rows(content):
+    for name, view, cells in rows(content, _NARROW):
         marked = [Text(t + ("*" if b else " "), style="bold" if b else "") for t, b in cells]
         out.add_row(name, view, *marked)
     return out
 
 
 def _text(value: float | None, column: Column) -> str:
-    return "-" if value is None else f"{value * column.factor:.{column.digits}f}"
+    if value is None:
+        return "-"
+    shown = value * column.factor
+    digits = column.digits if shown < 100.0 else max(0, column.digits - 1)
+    return f"{shown:.{digits}f}"
