@@ -1,0 +1,84 @@
+"""The records that flow through vio: samples of a live or logged IMU, truth, phases, noise."""
+
+from dataclasses import dataclass
+
+from tagvo.geometry import Array, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuSample:
+    """One IMU sample.
+
+    t_ns in the IMU's clock; gyro_I (3,) [rad/s]; accel_I (3,) specific force [m/s^2];
+    arrival_ns: when it was known, in the same clock.
+    """
+
+    t_ns: int
+    gyro_I: Array
+    accel_I: Array
+    arrival_ns: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuTrack:
+    """n IMU samples in the order of their file, which need not be that of time.
+
+    t_ns (n,); gyro_I (n, 3) [rad/s]; accel_I (n, 3) specific force [m/s^2]; arrival_ns (n,).
+    """
+
+    t_ns: IntArray
+    gyro_I: Array
+    accel_I: Array
+    arrival_ns: IntArray
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def sample(self, row: int) -> ImuSample:
+        """One row as a sample; its arrays are views."""
+        return ImuSample(
+            int(self.t_ns[row]), self.gyro_I[row], self.accel_I[row], int(self.arrival_ns[row])
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """n reference poses of I in W, stamps strictly ascending.
+
+    t_ns (n,); p_WI (n, 3) [m]; q_WI (n, 4) wxyz, unit; where the file has them (NaN: not known):
+    v_WI (n, 3) [m/s], b_g (n, 3) [rad/s] and b_a (n, 3) [m/s^2] biases in I.
+    """
+
+    t_ns: IntArray
+    p_WI: Array
+    q_WI: Array
+    v_WI: Array | None = None
+    b_g: Array | None = None
+    b_a: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """A named part of a flight, from t_start_ns up to t_end_ns; names may repeat and nest."""
+
+    name: str
+    t_start_ns: int
+    t_end_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class ImuNoise:
+    """Effective continuous-time densities of an IMU, with Kalibr's meanings.
+
+    accel_density [m/s^2/sqrt(Hz)], accel_walk [m/s^3/sqrt(Hz)], gyro_density [rad/s/sqrt(Hz)],
+    gyro_walk [rad/s^2/sqrt(Hz)]; rate_hz: nominal, None where the file does not say.
+    """
+
+    accel_density: float
+    accel_walk: float
+    gyro_density: float
+    gyro_walk: float
+    rate_hz: float | None = None
