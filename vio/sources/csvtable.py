@@ -60,7 +60,8 @@ def _header(lines: list[str], layout: Layout, path: Path) -> tuple[int, list[str
     for at, line in enumerate(lines):
         text = line.strip()
         cells = text.lstrip("#").split(",")
-        remark = text.startswith("#") and not any(map(canonical, cells))
+        short = len(cells) < len(layout.order) and not any(map(canonical, cells))
+        remark = text.startswith("#") and short
         if not text or remark:
             continue
         if any(_NUMBER.fullmatch(cell.strip()) for cell in cells):
