@@ -23,11 +23,13 @@ from tagvo.tagmap import TagMap
 Image: TypeAlias = NDArray[np.uint8]
 Image32: TypeAlias = NDArray[np.float32]
 
-_NEAR = 1e-3  # [m] along z of C: nothing nearer is drawn in full confidence of its outline
+_NEAR = 1e-3  # [m] along z of C: a tag reaching nearer has no outline to trust
 _MARGIN = 2  # [px] around a tag's outline
 _POINTS_PER_EDGE = 8
 _ROWS_AT_ONCE = 16  # rows of pixels unprojected together, which bounds the memory
-_WAVES = np.array([[2.3, 1.1], [-3.7, 2.9], [7.1, 9.7], [-17.3, 5.9], [23.9, -29.3], [41.1, 37.7]])
+_WAVES = np.array(  # of the floor's pattern [rad/m]
+    [[2.3, 1.1], [-3.7, 2.9], [7.1, 9.7], [-17.3, 5.9], [23.9, -29.3], [41.1, 37.7]], np.float32
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,11 +216,12 @@ def _floor(rays: _Rays, R_WC: Array, p_WC: Array, look: Look) -> Image32:
     fine = np.full(rays.x_n.shape[:2], look.floor, dtype=np.float32)
     s = rays.supersample
     if look.texture > 0.0:
-        x_n = rays.x_n[::s, ::s].astype(float)
-        d_W = x_n @ R_WC[:, :2].T + R_WC[:, 2]
-        hits = d_W[..., 2] * p_WC[2] < -1e-6
-        depth = np.where(hits, -p_WC[2] / np.where(hits, d_W[..., 2], 1.0), 0.0)
-        xy_W = p_WC[:2] + depth[..., None] * d_W[..., :2]
+        R, p = R_WC.astype(np.float32), p_WC.astype(np.float32)
+        d_W = rays.x_n[::s, ::s] @ R[:, :2].T + R[:, 2]
+        hits = d_W[..., 2] * p[2] < -1e-6
+        depth = np.where(hits, -p[2] / np.where(hits, d_W[..., 2], 1.0), 0.0)
+        xy_W = p[:2] + depth[..., None] * d_W[..., :2]
         pattern = np.sin(xy_W @ _WAVES.T).mean(axis=-1) * hits
-        fine += look.texture * np.kron(pattern, np.ones((s, s))).astype(np.float32)
+        by_pixel = fine.reshape(pattern.shape[0], s, pattern.shape[1], s)
+        by_pixel += look.texture * pattern[:, None, :, None]
     return fine
