@@ -43,6 +43,7 @@ class ArucoDetector:
         aruco, dictionary = _dictionary(family)
         parameters = aruco.DetectorParameters()
         parameters.markerBorderBits = border_bits
+        parameters.minDistanceToBorder = 0  # else it drops whole tags whose white ring is near
         parameters.errorCorrectionRate = 1.0  # the bits are read again between better corners
         if border_bits > 1 if thorough is None else thorough:
             parameters.cornerRefinementMethod = aruco.CORNER_REFINE_APRILTAG

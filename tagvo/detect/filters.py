@@ -27,7 +27,7 @@ class FilterConfig(BaseModel, frozen=True, extra="forbid"):
 
     max_hamming: int = Field(1, ge=0)
     min_side_px: float = Field(6.0, ge=0.0)
-    edge_px: float = Field(6.0)
+    edge_px: float = Field(6.0, allow_inf_nan=False)
     min_margin: float = Field(0.0, ge=0.0)
     duplicate_px: float = Field(2.0, ge=0.0)
 
