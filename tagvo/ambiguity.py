@@ -14,7 +14,7 @@ from tagvo.geometry import Array, IntArray
 from tagvo.records import PosePrior
 
 _SPREAD = np.radians(4.0)  # disagreement at which a tag's vote has half its weight [rad]
-_DECISIVE = 9.0  # difference of chi-square between the two solutions that settles it
+DECISIVE = 9.0  # difference of chi-square between the two solutions that settles it
 _LEAST_LIKELY = 1e-3
 
 
@@ -140,11 +140,6 @@ def prior_cost(R_WC: Array, p_WC: Array, depth: Array, prior: PosePrior) -> Arra
     S = prior.cov + allowance[..., None] * np.eye(6)
     solved = np.linalg.solve(S, error[..., None])[..., 0]
     return np.asarray(np.einsum("...i,...i->...", error, solved))
-
-
-def undecided(gap: Array) -> bool:
-    """Whether a lone tag's two solutions fit about equally well; gap (1,)."""
-    return len(gap) == 1 and bool(gap[0] < _DECISIVE)
 
 
 Chooser = Callable[[Array, Array, Array, Array, Array, PosePrior | None], IntArray]

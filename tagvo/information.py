@@ -12,7 +12,7 @@ from pydantic import BaseModel, NonNegativeFloat
 
 from tagvo import reprojection
 from tagvo.compiled import cholesky, forward, inverse_spd, njit
-from tagvo.geometry import Array
+from tagvo.geometry import Array, IntArray
 
 SYSTEMATIC = 3  # focal length, principal point u, principal point v
 
@@ -57,9 +57,7 @@ def tag_rows(R_WC: Array, p_WC: Array, tags: TagBatch, i: int, rows: Array, L: A
         p_CT[a] = 0.0
         for b in range(3):
             p_CT[a] += R_WC[b, a] * (p_WT[b] - p_WC[b])
-            R_CT[a, b] = (
-                R_WC[0, a] * R_WT[0, b] + R_WC[1, a] * R_WT[1, b] + R_WC[2, a] * R_WT[2, b]
-            )
+            R_CT[a, b] = R_WC[0, a] * R_WT[0, b] + R_WC[1, a] * R_WT[1, b] + R_WC[2, a] * R_WT[2, b]
     front = reprojection.residual(R_CT, p_CT, X, tags.corners_n[i], tags.J_px_n[i], r, A, x_C)
     reprojection.camera_jacobian(A, R_WC, x_C, J)
     reprojection.tag_jacobian(A, R_CT, X, L)
@@ -97,17 +95,21 @@ def systematic_rows(offset_px: Array, floor: Array, B: Array) -> None:
 
 
 @njit
-def mean_covariance(R_WC: Array, p_WC: Array, tags: TagBatch, weight: Array) -> Array:
+def mean_covariance(
+    R_WC: Array, p_WC: Array, tags: TagBatch, used: IntArray, weight: Array
+) -> Array:
     """Covariance (6, 6) of the weighted mean of per-tag poses, at the mean pose.
 
-    P = sum w_i^2 (J_i^T S_i^-1 J_i)^-1 + D D^T, weights (n,) normalised to 1, D the mean's shift by
-    one sigma of each systematic error: [p_WC in W, right rotation in C]; NaN where a tag is flat.
+    P = sum w_i^2 (J_i^T S_i^-1 J_i)^-1 + D D^T over the used tags (k,), weight (k,) summing to 1, D
+    the mean's shift by one sigma of each systematic error; [p_WC in W, right rotation in C].
+    NaN where a tag lies behind the camera or is seen edge-on.
     """
     rows, L, factor, B = np.empty((8, 7)), np.empty((8, 6)), np.empty((8, 8)), np.empty((8, 3))
     H, H_inv = np.empty((6, 6)), np.empty((6, 6))
     P, D = np.zeros((6, 6)), np.zeros((6, SYSTEMATIC))
     none = np.zeros(6)
-    for i in range(len(weight)):
+    for at in range(len(used)):
+        i, w = used[at], weight[at]
         good = tag_rows(R_WC, p_WC, tags, i, rows, L)
         systematic_rows(tags.offset_px[i], tags.floor, B)
         laid, alone = rows[:, 1:].copy(), rows[:, 1:].copy()
@@ -115,7 +117,7 @@ def mean_covariance(R_WC: Array, p_WC: Array, tags: TagBatch, weight: Array) -> 
         forward(factor, laid)
         accumulate(laid, H)
         good = inverse_spd(H, H_inv) and good
-        P += weight[i] * weight[i] * H_inv
+        P += w * w * H_inv
         residual_factor(L, none, tags.sigma_px[i], factor)  # the estimate weighs corners alone
         forward(factor, alone)
         forward(factor, B)
@@ -130,7 +132,7 @@ def mean_covariance(R_WC: Array, p_WC: Array, tags: TagBatch, weight: Array) -> 
                 for b in range(6):
                     gain += H_inv[a, b] * alone[k, b]
                 for c in range(SYSTEMATIC):
-                    D[a, c] += weight[i] * gain * B[k, c]
+                    D[a, c] += w * gain * B[k, c]
     return P + D @ D.T
 
 

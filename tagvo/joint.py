@@ -18,14 +18,18 @@ from tagvo.information import SYSTEMATIC, TagBatch, residual_factor, systematic_
 _SETTLED = 1e-6  # squared length of the last step in sigmas
 _FAR = 100.0  # ten sigmas
 _WIDE, _STAGES = 3.0, 6
+_DECISIVE = 9.0  # in minus twice the log-likelihood
+_FEWEST_FOR_SHARE = 5
 
 
 class JointConfig(BaseModel, frozen=True, extra="forbid"):
-    """Steps of Gauss-Newton and the robust loss (chi-square of a tag's 8 residuals)."""
+    """Steps of Gauss-Newton, the robust loss (chi-square of a tag's 8 residuals), and whether the
+    residuals may show that the map was laid better than it states (`laying_evidence`)."""
 
     max_steps: int = Field(default=12, ge=1, le=100)
     robust_chi2: PositiveFloat = 26.12  # 99.9 % of chi-square with 8 degrees of freedom
     reject_weight: PositiveFloat = Field(default=0.25, le=1.0)
+    laying_evidence: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +37,8 @@ class JointPose:
     """The joint pose and how each tag fits it.
 
     p_WC (3,), R_WC (3, 3), cov (6, 6) as in PoseMeasurement; chi2 (n,), weight (n,) of each tag;
-    cost: robust sum; converged: False where the steps ran out or the normal matrix failed.
+    cost: robust sum; converged: False where the steps ran out or the normal matrix failed;
+    laying_share: of the map's laying sigmas that was used (1, or less on evidence).
     """
 
     p_WC: Array
@@ -43,6 +48,7 @@ class JointPose:
     weight: Array
     cost: float
     converged: bool
+    laying_share: float
 
 
 class _Work(NamedTuple):
@@ -119,6 +125,12 @@ def _step(R: Array, p: Array, work: _Work, damping: float, R_new: Array, p_new: 
 
 
 @njit
+def _on_factors(other: _Work, work: _Work) -> _Work:
+    """`other` with the factors of `work`: the same residual covariances, room for a second pose."""
+    return _Work(work.factors, other.chi2, other.weight, other.rows, other.L, other.H, other.g)
+
+
+@njit
 def _descend(
     R: Array, p: Array, tags: TagBatch, limit: float, steps: int, work: _Work, other: _Work
 ) -> tuple[float, float, bool]:
@@ -137,7 +149,7 @@ def _descend(
             return cost, moved, True
         cost_new = np.inf
         if length >= 0.0:
-            cost_new = _evaluate(R_new, p_new, tags, limit, other)
+            cost_new = _evaluate(R_new, p_new, tags, limit, _on_factors(other, work))
         if cost_new <= cost:
             R[:], p[:], work.H[:], work.g[:] = R_new, p_new, other.H, other.g
             work.chi2[:], work.weight[:] = other.chi2, other.weight
@@ -167,18 +179,14 @@ def _systematic(R: Array, p: Array, tags: TagBatch, P: Array, work: _Work) -> Ar
 
 
 @njit
-def _solve(
-    R0: Array, p0: Array, tags: TagBatch, limit: float, steps: int
-) -> tuple[Array, Array, Array, Array, Array, float, bool]:
-    n = len(tags.sigma_px)
-    R, p, cov = R0.copy(), p0.copy(), np.full((6, 6), np.nan)
-    factors, rows, L = np.empty((n, 8, 8)), np.empty((8, 7)), np.empty((8, 6))
-    work = _Work(factors, np.zeros(n), np.zeros(n), rows, L, np.empty((6, 6)), np.empty(6))
-    other = _Work(factors, np.zeros(n), np.zeros(n), rows, L, np.empty((6, 6)), np.empty(6))
+def _minimise(
+    R: Array, p: Array, tags: TagBatch, limit: float, steps: int, work: _Work, other: _Work
+) -> tuple[float, bool]:
+    """Descend on R, p in place from any start; returns the robust cost and whether it settled."""
     cost, settled = np.inf, False
     for _ in range(2):  # the residuals' covariance is that at the start; anew where it moved far
         if not _factorise(R, p, tags, work):
-            return R, p, cov, work.chi2, work.weight, np.inf, False
+            return np.inf, False
         far = 0.0
         for _stage in range(_STAGES):  # from a poor start the loss tightens step by step
             _evaluate(R, p, tags, limit, work)
@@ -189,11 +197,83 @@ def _solve(
                 break
         if far < _FAR:
             break
+    return cost, settled
+
+
+@njit
+def _misfit_of_sigmas(cost: float, gain: float, work: _Work) -> float:
+    """Minus twice the restricted log-likelihood of the sigmas, up to a constant.
+
+    cost - gain: chi-square at the minimum; log det S and log det H charge for larger sigmas.
+    """
+    total = cost - gain
+    for i in range(len(work.chi2)):
+        for k in range(8):
+            total += 2.0 * np.log(work.factors[i, k, k])
+    M = work.H.copy()
+    if not cholesky(M):
+        return np.inf
+    for a in range(6):
+        total += 2.0 * np.log(M[a, a])
+    return total
+
+
+@njit
+def _with_laying(tags: TagBatch, share: float) -> TagBatch:
+    return TagBatch(
+        tags.R_WT, tags.p_WT, tags.corners_T, tags.laying * share, tags.corners_n, tags.J_px_n,
+        tags.sigma_px, tags.offset_px, tags.floor,
+    )  # fmt: skip
+
+
+@njit
+def _laying_share(
+    R: Array, p: Array, tags: TagBatch, limit: float, cost: float, work: _Work, other: _Work
+) -> float:
+    """Share of the stated laying sigmas that the residuals of this frame speak for.
+
+    1 unless a smaller share is decisively more likely (restricted maximum likelihood): a map is
+    often laid better than it says, and then far tags deserve less say against near ones.
+    """
+    R_new, p_new = np.empty((3, 3)), np.empty(3)
+    best, share = _misfit_of_sigmas(cost, 0.0, work), 1.0
+    for trial in (1.0 / 3.0, 0.1):
+        scaled = _with_laying(tags, trial)
+        if not _factorise(R, p, scaled, other):
+            break
+        cost_trial = _evaluate(R, p, scaled, limit, other)
+        gain = _step(R, p, other, 1e-9, R_new, p_new)
+        misfit = _misfit_of_sigmas(cost_trial, max(gain, 0.0), other)
+        if not misfit < best - _DECISIVE:
+            break
+        best, share = misfit, trial
+    return share
+
+
+@njit
+def _solve(
+    R0: Array, p0: Array, tags: TagBatch, limit: float, steps: int, adapt: bool
+) -> tuple[Array, Array, Array, Array, Array, float, bool, float]:
+    n = len(tags.sigma_px)
+    R, p, cov, share = R0.copy(), p0.copy(), np.full((6, 6), np.nan), 1.0
+    rows, L = np.empty((8, 7)), np.empty((8, 6))
+    work = _Work(
+        np.empty((n, 8, 8)), np.zeros(n), np.zeros(n), rows, L, np.empty((6, 6)), np.empty(6)
+    )
+    other = _Work(
+        np.empty((n, 8, 8)), np.zeros(n), np.zeros(n), rows, L, np.empty((6, 6)), np.empty(6)
+    )
+    cost, settled = _minimise(R, p, tags, limit, steps, work, other)
+    if adapt and settled and n >= _FEWEST_FOR_SHARE:
+        share = _laying_share(R, p, tags, limit, cost, work, other)
+        if share < 1.0:
+            tags = _with_laying(tags, share)
+            cost, settled = _minimise(R, p, tags, limit, steps, work, other)
     if not (np.isfinite(cost) and inverse_spd(work.H, cov)):
-        return R, p, np.full((6, 6), np.nan), work.chi2, work.weight, np.inf, False
+        return R, p, np.full((6, 6), np.nan), work.chi2, work.weight, np.inf, False, share
     D = _systematic(R, p, tags, cov, work)
     cov = cov * _misfit(work.chi2, work.weight) + D @ D.T
-    return R, p, cov, work.chi2, work.weight, cost, settled
+    return R, p, cov, work.chi2, work.weight, cost, settled, share
 
 
 @njit
@@ -214,7 +294,7 @@ def solve_joint(R_WC: Array, p_WC: Array, tags: TagBatch, config: JointConfig) -
 
     Raises nothing: a failed solution has `converged` False, cost inf and a covariance of NaN.
     """
-    R, p, cov, chi2, weight, cost, converged = _solve(
-        R_WC, p_WC, tags, config.robust_chi2, config.max_steps
+    R, p, cov, chi2, weight, cost, converged, share = _solve(
+        R_WC, p_WC, tags, config.robust_chi2, config.max_steps, config.laying_evidence
     )
-    return JointPose(p, R, cov, chi2, weight, cost, converged)
+    return JointPose(p, R, cov, chi2, weight, cost, converged, share)
