@@ -130,7 +130,7 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
         ("{t},1,2,1_0,4,5,6\n", "imu_not_a_number"),
         ("{t},1,2,nan,4,5,6\n", "imu_not_finite"),
         ("{t},1,2,3,4,5,-inf\n", "imu_not_finite"),
-        ("{t},1,2,3,4,5,1e400\n", "imu_not_finite"),
+        ("{t},1,2,3,4,5,1e35\n", "imu_not_finite"),
         ("1.403e18,1,2,3,4,5,6\n", "imu_not_a_whole_number"),
         ("1403638519.5,1,2,3,4,5,6\n", "imu_not_a_whole_number"),
         ("{t}{t},1,2,3,4,5,6\n", "imu_not_a_whole_number"),

@@ -11,7 +11,7 @@ from tagvo.geometry import Array, IntArray
 
 BLANK = np.iinfo(np.int64).min  # an optional whole number that the row leaves open
 _MAX_INT = 2**62  # differences of stamps must fit in int64
-_MAX_FLOAT = 1e300  # beyond it squares are infinite long before anything is wrong by name
+_MAX_FLOAT = 1e30  # no metre, pixel or radian is beyond; powers of what is below stay finite
 _BLOCK = 2048
 _WHOLE = re.compile(r"([+-]?\d{1,19})(?:\.0*)?", re.ASCII)
 
