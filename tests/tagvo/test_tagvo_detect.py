@@ -12,7 +12,7 @@ from tagvo.camera import Camera, project
 from tagvo.detect import make_detector
 from tagvo.detect.apriltag import AprilTagDetector, decimate_for
 from tagvo.detect.aruco import ArucoDetector
-from tagvo.detect.decode import codes
+from tagvo.detect.decode import codes, read_bits, upright
 from tagvo.errors import DetectorError
 from tagvo.families import FAMILIES
 from tagvo.render import render_view
@@ -172,6 +172,21 @@ def test_bits_are_read_upright_as_the_bitmap_draws_them(family):
     table = ArucoDetector(family)._codes.table.reshape(family.ids, 4, -1)
     drawn = np.array([tag_bitmap(family, i)[2:-2, 2:-2] > 0 for i in ids], dtype=np.uint8)
     assert_allclose(table[ids], codes(drawn).table.reshape(len(ids), 4, -1))
+
+
+def test_a_square_is_read_from_any_corner():
+    """Squares that OpenCV turned down start at any corner: reading finds which is top left."""
+    rng = np.random.default_rng(9)
+    tag_map = board("tag36h11", 60.0, 2, 2, rng, turns=[0.0, 0.6, 2.0, 4.0])
+    image, truth = view(tag_map, rng)
+    table = ArucoDetector(tag_map.family)._codes
+    for turn in range(4):
+        squares = np.roll(truth, turn, axis=1)
+        read = read_bits(image, squares, table, 1)
+        assert read.ok.all()
+        assert read.tag_id.tolist() == [0, 1, 2, 3]
+        assert read.errors.tolist() == [0] * 4
+        assert_allclose(upright(squares, read.turns), truth)
 
 
 def test_aruco_tells_corrected_bits():
