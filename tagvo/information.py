@@ -51,20 +51,18 @@ def tag_rows(R_WC: Array, p_WC: Array, tags: TagBatch, i: int, rows: Array, L: A
     d pixel / d laying error in T. False: a corner is not in front of the camera.
     """
     R_WT, p_WT, X = tags.R_WT[i], tags.p_WT[i], tags.corners_T[i]
-    R_CT, p_CT = np.empty((3, 3)), np.empty(3)
-    r, A, x_C, J = np.empty(8), np.empty((8, 3)), np.empty((4, 3)), np.empty((8, 6))
+    scratch = np.empty((16, 3))  # one allocation: this runs for every tag at every step
+    R_CT, p_CT, x_C, A = scratch[:3], scratch[3], scratch[4:8], scratch[8:]
     for a in range(3):
         p_CT[a] = 0.0
         for b in range(3):
             p_CT[a] += R_WC[b, a] * (p_WT[b] - p_WC[b])
             R_CT[a, b] = R_WC[0, a] * R_WT[0, b] + R_WC[1, a] * R_WT[1, b] + R_WC[2, a] * R_WT[2, b]
-    front = reprojection.residual(R_CT, p_CT, X, tags.corners_n[i], tags.J_px_n[i], r, A, x_C)
-    reprojection.camera_jacobian(A, R_WC, x_C, J)
+    front = reprojection.residual(
+        R_CT, p_CT, X, tags.corners_n[i], tags.J_px_n[i], rows[:, 0], A, x_C
+    )
+    reprojection.camera_jacobian(A, R_WC, x_C, rows[:, 1:])
     reprojection.tag_jacobian(A, R_CT, X, L)
-    for k in range(8):
-        rows[k, 0] = r[k]
-        for j in range(6):
-            rows[k, 1 + j] = J[k, j]
     return front
 
 
@@ -73,10 +71,14 @@ def residual_factor(L: Array, laying: Array, sigma_px: Array, factor: Array) -> 
     """Cholesky factor (8, 8) of S; L (8, 6), laying (6,) sigmas [m, rad], sigma_px (4,)."""
     for i in range(8):
         for j in range(i + 1):
-            v = 0.0
-            for k in range(6):
-                v += L[i, k] * laying[k] * laying[k] * L[j, k]
-            factor[i, j] = v
+            factor[i, j] = 0.0
+    for k in range(6):
+        variance = laying[k] * laying[k]
+        for i in range(8):
+            v = L[i, k] * variance
+            for j in range(i + 1):
+                factor[i, j] += v * L[j, k]
+    for i in range(8):
         factor[i, i] += sigma_px[i // 2] * sigma_px[i // 2]
     return cholesky(factor)
 

@@ -15,7 +15,7 @@ from tagvo.compiled import backward, cholesky, forward, inverse_spd, njit, rotat
 from tagvo.geometry import Array
 from tagvo.information import SYSTEMATIC, TagBatch, residual_factor, systematic_rows, tag_rows
 
-_SETTLED = 1e-6  # squared length of the last step in sigmas
+_SETTLED = 1e-4  # squared length [sigmas] of a step that is taken as the last, unexamined
 _FAR = 100.0  # ten sigmas
 _WIDE, _STAGES = 3.0, 6
 _DECISIVE = 9.0  # in minus twice the log-likelihood
@@ -132,20 +132,27 @@ def _on_factors(other: _Work, work: _Work) -> _Work:
 
 @njit
 def _descend(
-    R: Array, p: Array, tags: TagBatch, limit: float, steps: int, work: _Work, other: _Work
+    R: Array,
+    p: Array,
+    tags: TagBatch,
+    limit: float,
+    steps: int,
+    cost: float,
+    work: _Work,
+    other: _Work,
 ) -> tuple[float, float, bool]:
-    """Levenberg-Marquardt on R, p in place; `work` ends at the minimum.
+    """Levenberg-Marquardt on R, p in place from where `work` was evaluated, at this cost.
 
     Returns the cost, how far it went (squared sigmas) and whether it settled.
     """
     R_new, p_new = np.empty((3, 3)), np.empty(3)
-    cost = _evaluate(R, p, tags, limit, work)
     damping, moved = 1e-9, 0.0
     if not np.isfinite(cost):
         return cost, moved, False
     for _ in range(steps):
         length = _step(R, p, work, damping, R_new, p_new)
         if 0.0 <= length < _SETTLED:
+            R[:], p[:] = R_new, p_new
             return cost, moved, True
         cost_new = np.inf
         if length >= 0.0:
@@ -189,9 +196,11 @@ def _minimise(
             return np.inf, False
         far = 0.0
         for _stage in range(_STAGES):  # from a poor start the loss tightens step by step
-            _evaluate(R, p, tags, limit, work)
+            cost = _evaluate(R, p, tags, limit, work)
             wide = max(limit, _WIDE * np.median(work.chi2))
-            cost, moved, settled = _descend(R, p, tags, wide, steps, work, other)
+            if wide > limit:
+                cost = _evaluate(R, p, tags, wide, work)
+            cost, moved, settled = _descend(R, p, tags, wide, steps, cost, work, other)
             far += moved
             if wide == limit:
                 break
