@@ -64,10 +64,10 @@ def _shortest_side(quad: Array) -> float:
 @njit
 def _within(quad: Array, width: float, height: float, edge_px: float) -> bool:
     low, right, bottom = edge_px - 0.5, width - 0.5 - edge_px, height - 0.5 - edge_px
+    inside = True
     for k in range(4):
-        if not (low <= quad[k, 0] <= right and low <= quad[k, 1] <= bottom):
-            return False
-    return True
+        inside = inside and low <= quad[k, 0] <= right and low <= quad[k, 1] <= bottom
+    return inside
 
 
 @njit
