@@ -74,6 +74,8 @@ def _say(model: type[BaseModel], fault: Any, where: str, path: Iterable[Any]) ->
     if fault["type"] == "literal_error":
         allowed = fault["ctx"]["expected"].replace("'", "").replace(" or ", ", ")
         return f"{here}: unknown {fault['input']!r}; choose one of {allowed}"
+    if fault["type"] in ("model_type", "model_attributes_type"):
+        return f"{here}: {fault['input']!r}; a mapping `key: value` is needed"
     message = fault["msg"][:1].lower() + fault["msg"][1:]
     return f"{here}: {fault['input']!r}; {message}"
 

@@ -14,6 +14,7 @@ app = typer.Typer(
     help="Visual-inertial localization for indoor UAVs over a map of fiducial tags.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # plain help wraps its paragraphs and keeps [s]
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("run")(run.command)

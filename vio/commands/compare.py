@@ -25,7 +25,9 @@ def command(
     every: opt.Every = 1,
     blackout: opt.Blackout = None,
     latency: opt.Latency = 0.0,
-    skip: float = typer.Option(0.0, "--skip", metavar="S", min=0.0, help="Judge from S s on."),
+    skip: float = typer.Option(
+        0.0, "--skip", metavar="S", min=0.0, max=1e9, help="Judge from S seconds on."
+    ),
     align: Align = typer.Option("none", "--align", help="Align to truth before judging."),
 ) -> None:
     """Compare estimators on one log against its truth.
@@ -39,14 +41,8 @@ def command(
         blackout, latency,
     )  # fmt: skip
     from vio.commands.replay_log import replay_log, vo_arms
-    from vio.errors import EvaluationError
 
-    done = replay_log(choice, lambda flight, cfg: vo_arms(flight, cfg))
-    if done.log.truth is None:
-        raise EvaluationError(
-            f"{log}: no truth to compare with;"
-            " mav0/state_groundtruth_estimate0/data.csv is needed (`tagvio run` needs none)"
-        )
+    done = replay_log(choice, vo_arms, needs_truth=True)
     _judge(done, out, skip, align)
     if done.result.interrupted:
         raise typer.Exit(130)
