@@ -7,6 +7,7 @@ import numpy as np
 
 from tagvo.camera import Camera
 from tagvo.config import TagvoConfig
+from tagvo.detect.filters import FilterConfig
 from tagvo.families import FAMILIES
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, PoseMeasurement
@@ -27,6 +28,7 @@ def warm_up(camera: Camera, config: TagvoConfig) -> PoseMeasurement | None:
     made_up = map_from_dict({"family": next(iter(FAMILIES)), "tags": tags}, "warm-up")
     square = 0.5 * _SIDE_PX * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     corners = offsets[:, None] + square + np.array([pu, pv])
-    vo = TagVO(camera, made_up, config)
+    every_tag = FilterConfig.model_validate({"min_side_px": 0.0, "edge_px": -1e6})
+    vo = TagVO(camera, made_up, config.model_copy(update={"filters": every_tag}))
     frames = [Detections.of(made_up.tag_id[:n], corners[:n]) for n in (1, 4)]
     return [vo(Frame(0, detections=found)) for found in frames][-1]
