@@ -27,7 +27,7 @@ class DetectorConfig(BaseModel, frozen=True, extra="forbid"):
 class NoiseConfig(BaseModel, frozen=True, extra="forbid"):
     """Corner noise [px, one sigma per axis]; with `blur` it grows with the measured edge width."""
 
-    corner_px: PositiveFloat = 0.3
+    corner_px: float = Field(default=0.3, gt=0.0, le=1e3)
     blur: bool = True
 
 
@@ -40,7 +40,7 @@ class TagvoConfig(BaseModel, frozen=True, extra="forbid"):
     weights: Literal["W1", "W2", "uniform"] = "W2"
     mean: Literal["QL2", "CL2"] = "QL2"
     fir: Literal["none", "paper", "endpoint"] = "none"
-    fir_gap_s: PositiveFloat = 0.25
+    fir_gap_s: float = Field(default=0.25, gt=0.0, le=1e6)
     ambiguity: Literal["first", "consistent", "prior"] = "consistent"
     refine: int = Field(default=1, ge=0, le=10)
     iqr: IqrConfig = IqrConfig()
