@@ -152,3 +152,19 @@ def quaternion(R: Array, q: Array) -> None:
     norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     for i in range(4):
         q[i] /= norm
+
+
+@njit
+def rotation(q: Array) -> Array:
+    """Rotation matrix (3, 3) of a unit quaternion wxyz (4,)."""
+    w, x, y, z = q
+    R = np.empty((3, 3))
+    R[0, 0], R[1, 1], R[2, 2] = (
+        1 - 2 * (y * y + z * z),
+        1 - 2 * (x * x + z * z),
+        1 - 2 * (x * x + y * y),
+    )
+    R[0, 1], R[1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
+    R[0, 2], R[2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)
+    R[1, 2], R[2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
+    return R

@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tagvo import geometry as geo
-from tagvo.compiled import njit, quaternion
+from tagvo.compiled import njit, quaternion, rotation
 from tagvo.geometry import Array
 
 _QUARTER_TURN = float(np.cos(np.pi / 4.0))  # |q_i . q_j| of two rotations 90 degrees apart
@@ -86,4 +85,4 @@ def fuse(p: Array, R: Array, weights: Array, mean: str) -> tuple[Array, Array, t
     Paper, section Multi-tags Estimate Fusion; the position sum is divided by the weights' sum.
     """
     q, flags = MEAN[mean](_quaternions(R), weights)
-    return (weights @ p) / weights.sum(), geo.matrix_from_quat(q), flags
+    return (weights @ p) / weights.sum(), rotation(q), flags

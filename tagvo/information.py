@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, NonNegativeFloat
 
 from tagvo import reprojection
-from tagvo.compiled import cholesky, forward, inverse_spd, njit
+from tagvo.compiled import cholesky, inverse_spd, njit
 from tagvo.geometry import Array, IntArray
 
 SYSTEMATIC = 3  # focal length, principal point u, principal point v
@@ -102,39 +102,44 @@ def mean_covariance(
 ) -> Array:
     """Covariance (6, 6) of the weighted mean of per-tag poses, at the mean pose.
 
-    P = sum w_i^2 (J_i^T S_i^-1 J_i)^-1 + D D^T over the used tags (k,), weight (k,) summing to 1, D
-    the mean's shift by one sigma of each systematic error; [p_WC in W, right rotation in C].
-    NaN where a tag lies behind the camera or is seen edge-on.
+    P = sum w_i^2 (H_i^-1 + G_i Sigma_i G_i^T) + D D^T over the used tags (k,), weight (k,) summing
+    to 1: H_i the information of the corners alone, by which per-tag poses are solved, G_i their
+    shift by the tag's laying error, D the mean's shift by one sigma of each systematic error;
+    [p_WC in W, right rotation in C]. NaN where a tag lies behind the camera or is seen edge-on.
     """
-    rows, L, factor, B = np.empty((8, 7)), np.empty((8, 6)), np.empty((8, 8)), np.empty((8, 3))
-    H, H_inv = np.empty((6, 6)), np.empty((6, 6))
-    P, D = np.zeros((6, 6)), np.zeros((6, SYSTEMATIC))
-    none = np.zeros(6)
+    rows, L, B = np.empty((8, 7)), np.empty((8, 6)), np.empty((8, 3))
+    H, H_inv, gain = np.empty((6, 6)), np.empty((6, 6)), np.empty(8)
+    P, D, G = np.zeros((6, 6)), np.zeros((6, SYSTEMATIC)), np.empty((6, 6))
     for at in range(len(used)):
         i, w = used[at], weight[at]
         good = tag_rows(R_WC, p_WC, tags, i, rows, L)
         systematic_rows(tags.offset_px[i], tags.floor, B)
-        laid, alone = rows[:, 1:].copy(), rows[:, 1:].copy()
-        good = residual_factor(L, tags.laying[i], tags.sigma_px[i], factor) and good
-        forward(factor, laid)
-        accumulate(laid, H)
-        good = inverse_spd(H, H_inv) and good
-        P += w * w * H_inv
-        residual_factor(L, none, tags.sigma_px[i], factor)  # the estimate weighs corners alone
-        forward(factor, alone)
-        forward(factor, B)
-        accumulate(alone, H)
-        good = inverse_spd(H, H_inv) and good
-        if not good:
+        for k in range(8):
+            rows[k] /= tags.sigma_px[i, k // 2]
+        accumulate(rows[:, 1:], H)
+        if not (inverse_spd(H, H_inv) and good):
             P[:] = np.nan
             return P
         for a in range(6):
             for k in range(8):
-                gain = 0.0
+                gain[k] = 0.0
                 for b in range(6):
-                    gain += H_inv[a, b] * alone[k, b]
-                for c in range(SYSTEMATIC):
-                    D[a, c] += w * gain * B[k, c]
+                    gain[k] += H_inv[a, b] * rows[k, 1 + b]
+                gain[k] /= tags.sigma_px[i, k // 2]
+            for b in range(6):
+                G[a, b] = 0.0
+                for k in range(8):
+                    G[a, b] += gain[k] * L[k, b]
+                G[a, b] *= tags.laying[i, b]
+            for c in range(SYSTEMATIC):
+                for k in range(8):
+                    D[a, c] += w * gain[k] * B[k, c]
+        for a in range(6):
+            for b in range(6):
+                v = H_inv[a, b]
+                for c in range(6):
+                    v += G[a, c] * G[b, c]
+                P[a, b] += w * w * v
     return P + D @ D.T
 
 
