@@ -78,10 +78,10 @@ def ippe_loop(points: list[np.ndarray], corners: list[np.ndarray], K: np.ndarray
 def measure(frames: list[Frame], tag_map: TagMap, camera: Camera) -> dict[str, Laps]:
     """Times of the loop, the paper's path and the joint pose, interleaved frame by frame."""
     laps = {name: Laps() for name in ("loop", "fused", "joint")}
-    config = TagvoConfig(pose="fused")
+    new = TagvoConfig(pose="fused", ambiguity="first")  # TBS-OR-(W2+QL2), the defaults
     vos = {
-        "fused": TagVO(camera, tag_map, config, lap=laps["fused"].lap),
-        "joint": TagVO(camera, tag_map, replace_pose(config), lap=laps["joint"].lap),
+        "fused": TagVO(camera, tag_map, new, lap=laps["fused"].lap),
+        "joint": TagVO(camera, tag_map, lap=laps["joint"].lap),
     }
     fu, fv, pu, pv = camera.intrinsics
     K, d = np.array([[fu, 0, pu], [0, fv, pv], [0, 0, 1]]), camera.coeffs
@@ -101,10 +101,6 @@ def measure(frames: list[Frame], tag_map: TagMap, camera: Camera) -> dict[str, L
             vo(frame)
             laps[name].end()
     return laps
-
-
-def replace_pose(config: TagvoConfig) -> TagvoConfig:
-    return config.model_copy(update={"pose": "joint"})
 
 
 def row(name: str, ms: list[float], loop: list[float]) -> str:

@@ -49,7 +49,7 @@ def _runs_clockwise(quad: Array) -> bool:
             return False
     d1x, d1y = quad[2, 0] - quad[0, 0], quad[2, 1] - quad[0, 1]
     d2x, d2y = quad[3, 0] - quad[1, 0], quad[3, 1] - quad[1, 1]
-    return d1x * d2y - d1y * d2x > 0.0
+    return bool(d1x * d2y - d1y * d2x > 0.0)
 
 
 @njit
