@@ -25,9 +25,11 @@ class DetectorConfig(BaseModel, frozen=True, extra="forbid"):
 
 
 class NoiseConfig(BaseModel, frozen=True, extra="forbid"):
-    """Corner noise [px, one sigma per axis]; with `blur` it grows with the measured edge width."""
+    """Corner noise [px, one sigma per axis]: of corners that come with a frame, and of sharp ones
+    found in its image; with `blur` the latter grows with the measured edge width."""
 
     corner_px: float = Field(default=0.3, gt=0.0, le=1e3)
+    image_px: float = Field(default=0.1, gt=0.0, le=1e3)
     blur: bool = True
 
 

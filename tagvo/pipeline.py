@@ -156,14 +156,16 @@ class TagVO:
             )  # fmt: skip
         gray = gray_image(frame.image)
         found = self._detector.detect(gray)
-        if not cfg.noise.blur or not len(found):
+        if not len(found):
             return found
+        if not cfg.noise.blur:
+            return replace(found, sigma_px=np.full((len(found), 4), cfg.noise.image_px))
         cells = family.border_cells + 2 * (bits - 1)
         spread, cell = (
             edge_spread(gray, found.corners_px, cells),
             cell_width(found.corners_px, cells),
         )
-        return replace(found, sigma_px=corner_sigma(spread, cell, cfg.noise.corner_px))
+        return replace(found, sigma_px=corner_sigma(spread, cell, cfg.noise.image_px))
 
     def _tag_poses(
         self, obs: Observations, tags: TagBatch, area: Array, prior: PosePrior | None
