@@ -15,7 +15,7 @@ from tagvo.outliers import IqrConfig
 Model = TypeVar("Model", bound=BaseModel)
 
 
-class DetectorConfig(BaseModel, frozen=True, extra="forbid"):
+class DetectorConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Which detector, and how it searches."""
 
     library: Literal["auto", "apriltag", "aruco"] = "auto"
@@ -95,4 +95,5 @@ def load_tagvo_config(path: Path) -> TagvoConfig:
     """The `tagvo` section of a config file; for those who use tagvo without vio."""
     from tagvo.textfile import read_yaml
 
-    return validated(TagvoConfig, read_yaml(path, ConfigError).get("tagvo", {}), str(path), "tagvo")
+    section = read_yaml(path, ConfigError).get("tagvo")
+    return validated(TagvoConfig, {} if section is None else section, str(path), "tagvo")

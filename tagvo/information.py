@@ -17,7 +17,7 @@ from tagvo.geometry import Array, IntArray
 SYSTEMATIC = 3  # focal length, principal point u, principal point v
 
 
-class FloorConfig(BaseModel, frozen=True, extra="forbid"):
+class FloorConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Standard deviations of what no fusion removes: the errors of the calibration."""
 
     focal_rel: NonNegativeFloat = 0.001

@@ -22,7 +22,7 @@ _DECISIVE = 9.0  # in minus twice the log-likelihood
 _FEWEST_FOR_SHARE = 5
 
 
-class JointConfig(BaseModel, frozen=True, extra="forbid"):
+class JointConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Steps of Gauss-Newton, the robust loss (chi-square of a tag's 8 residuals), and whether the
     residuals may show that the map was laid better than it states (`laying_evidence`)."""
 
