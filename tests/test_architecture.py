@@ -33,7 +33,7 @@ TAGVO = (
 STAGES = TAGVO[5]
 VIO = (
     {"errors"},
-    {"records", "frames", "stopwatch"},
+    {"records", "frames", "stopwatch", "interrupt"},
     {"imu"},
     {"eskf", "gate", "health", "clock"},
     {"estimator", "arms", "warmup"},
