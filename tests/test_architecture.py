@@ -33,7 +33,7 @@ TAGVO = (
 STAGES = TAGVO[5]
 VIO = (
     {"errors"},
-    {"records", "frames", "stopwatch", "interrupt", "assets", "assets"},
+    {"records", "frames", "stopwatch", "interrupt", "assets"},
     {"imu"},
     {"eskf", "gate", "health", "clock"},
     {"estimator", "arms", "warmup"},
