@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -65,8 +66,9 @@ def demo_flight() -> Flight:
     from scipy.interpolate import make_interp_spline
 
     rest = [(1, np.zeros(4)), (2, np.zeros(4))]
+    ends: Any = (rest, rest)
     t, values = _WAYPOINTS[:, 0], _WAYPOINTS[:, 1:] * [1.0, 1.0, 1.0, np.pi / 180.0]
-    path = make_interp_spline(t, values, k=5, bc_type=(rest, rest))  # type: ignore[arg-type]
+    path = make_interp_spline(t, values, k=5, bc_type=ends)
     v, a = path.derivative(1), path.derivative(2)
     return Flight(
         lambda t: path(t)[..., :3],
