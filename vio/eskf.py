@@ -1,0 +1,291 @@
+"""Corrections of the error-state filter, compiled: every camera measurement is one of a camera pose.
+
+The camera pose's error is xi = [dp_WC in W, right rotation in C]; H (6, n) leads from the error
+state to it. A pose measurement observes xi directly; tag corners observe it through their
+projection (`vio.corners`). The update is a Cholesky-whitened downdate: P stays symmetric.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from tagvo.geometry import Array
+from vio import layout as at
+from vio.imu import exp_quat, matrix_into, turn_quat
+
+GATE_6, GATE_3, GATE_8 = 22.457744, 16.266236, 26.124482  # chi-square 99.9 % of 6, 3 and 8 dof
+
+
+@njit(cache=True)
+def cholesky(A: Array, m: int) -> bool:
+    """Lower factor of the leading m x m block of A, in place; False where it is not positive."""
+    for i in range(m):
+        for j in range(i + 1):
+            s = A[i, j]
+            for k in range(j):
+                s -= A[i, k] * A[j, k]
+            if i == j:
+                if not (s > 0.0 and s < 1e300):
+                    return False
+                A[i, i] = math.sqrt(s)
+            else:
+                A[i, j] = s / A[j, j]
+    return True
+
+
+@njit(cache=True)
+def solve_lower(L: Array, m: int, B: Array) -> None:
+    """B (m, k) := L^-1 B in place, L lower triangular."""
+    for i in range(m):
+        for k in range(i):
+            f = L[i, k]
+            for j in range(B.shape[1]):
+                B[i, j] -= f * B[k, j]
+        f = 1.0 / L[i, i]
+        for j in range(B.shape[1]):
+            B[i, j] *= f
+
+
+@njit(cache=True)
+def camera_pose(x: Array, R_WC: Array, p_WC: Array) -> None:
+    """R_WC (3, 3), p_WC (3,) := the camera pose that the state predicts, its bias included."""
+    q = np.empty(4)
+    R_WI = np.empty((3, 3))
+    matrix_into(R_WI, x[at.X_Q], x[at.X_Q + 1], x[at.X_Q + 2], x[at.X_Q + 3])
+    q[:] = x[at.X_Q : at.X_Q + 4]
+    turn_quat(q, 0, (x[at.X_QIC], x[at.X_QIC + 1], x[at.X_QIC + 2], x[at.X_QIC + 3]))
+    turn_quat(q, 0, exp_quat(x[at.X_BIAS + 3], x[at.X_BIAS + 4], x[at.X_BIAS + 5]))
+    matrix_into(R_WC, q[0], q[1], q[2], q[3])
+    for i in range(3):
+        lever = 0.0
+        for k in range(3):
+            lever += R_WI[i, k] * x[at.X_PIC + k]
+        p_WC[i] = x[at.X_P + i] + lever + x[at.X_BIAS + i]
+
+
+@njit(cache=True)
+def _times_hat(out: Array, row: int, col: int, R: Array, v: Array, s: float) -> None:
+    """out[row:row+3, col:col+3] := s R hat(v)."""
+    for i in range(3):
+        out[row + i, col] = s * (R[i, 1] * v[2] - R[i, 2] * v[1])
+        out[row + i, col + 1] = s * (R[i, 2] * v[0] - R[i, 0] * v[2])
+        out[row + i, col + 2] = s * (R[i, 0] * v[1] - R[i, 1] * v[0])
+
+
+@njit(cache=True)
+def camera_jacobian(x: Array, w: Array, H: Array) -> None:
+    """H (6, n) := d xi / d error state; w (3,) gyro at that moment, bias included [rad/s]."""
+    n = H.shape[1]
+    R_WI, R_CI, R_bias = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    matrix_into(R_WI, x[at.X_Q], x[at.X_Q + 1], x[at.X_Q + 2], x[at.X_Q + 3])
+    b = exp_quat(-x[at.X_BIAS + 3], -x[at.X_BIAS + 4], -x[at.X_BIAS + 5])
+    matrix_into(R_bias, b[0], b[1], b[2], b[3])
+    q = np.empty(4)
+    q[0], q[1], q[2], q[3] = b
+    turn_quat(q, 0, (x[at.X_QIC], -x[at.X_QIC + 1], -x[at.X_QIC + 2], -x[at.X_QIC + 3]))
+    matrix_into(R_CI, q[0], q[1], q[2], q[3])  # C as biased <- I
+    H[:] = 0.0
+    _times_hat(H, 0, at.TH, R_WI, x[at.X_PIC : at.X_PIC + 3], -1.0)
+    for i in range(3):
+        H[i, at.P + i] = 1.0
+        H[i, at.TD] = x[at.X_V + i]
+        for k in range(3):
+            rate = w[k] - x[at.X_BG + k]
+            H[i, at.TD] += H[i, at.TH + k] * rate
+            H[3 + i, at.TH + k] = R_CI[i, k]
+            H[3 + i, at.TD] += R_CI[i, k] * rate
+            H[3 + i, at.EX + k] = R_bias[i, k]
+            if n > at.BASE:
+                H[i, at.LEVER + k] = R_WI[i, k]
+    if n > at.WITH_LEVER:
+        for i in range(6):
+            H[i, at.BIAS + i] = 1.0
+
+
+@njit(cache=True)
+def times_p(H: Array, P: Array, M: Array) -> None:
+    """M (m, n) := H P, skipping what is zero in H."""
+    m, n = H.shape
+    for i in range(m):
+        for j in range(n):
+            M[i, j] = 0.0
+        for c in range(n):
+            h = H[i, c]
+            if h != 0.0:
+                for j in range(n):
+                    M[i, j] += h * P[c, j]
+
+
+@njit(cache=True)
+def times_ht(M: Array, H: Array, S: Array) -> None:
+    """S (m, m) := M H^T, skipping what is zero in H; exactly symmetric."""
+    m, n = H.shape
+    for i in range(m):
+        for k in range(i, m):
+            S[i, k] = 0.0
+    for k in range(m):
+        for c in range(n):
+            h = H[k, c]
+            if h != 0.0:
+                for i in range(k + 1):
+                    S[i, k] += M[i, c] * h
+    for i in range(m):
+        for k in range(i):
+            S[i, k] = S[k, i]
+
+
+@njit(cache=True)
+def downdate(x: Array, P: Array, L: Array, M: Array, r: Array) -> bool:
+    """Correct x and P, in place, by residual r (m,) with M = H P (m, n) and S = L L^T; both spoilt.
+
+    False, and nothing changed, where the correction is not finite.
+    """
+    m, n = M.shape
+    y = r.reshape((m, 1))
+    solve_lower(L, m, y)
+    solve_lower(L, m, M)
+    dx = np.zeros(30)
+    for k in range(m):
+        for j in range(n):
+            dx[j] += M[k, j] * y[k, 0]
+    for j in range(n):
+        if not abs(dx[j]) < 1e6:
+            return False
+    for i in range(n):
+        for k in range(m):
+            f = M[k, i]
+            for j in range(i, n):
+                P[i, j] -= f * M[k, j]
+        if not P[i, i] > 0.0:
+            P[i, i] = 1e-18
+    for i in range(n):
+        for j in range(i):
+            P[i, j] = P[j, i]
+    inject(x, P, dx)
+    return True
+
+
+@njit(cache=True)
+def inject(x: Array, P: Array, dx: Array) -> None:
+    """Add the error dx (30,) to the nominal state and reset it; P follows by the reset Jacobian."""
+    for i in range(3):
+        x[at.X_P + i] += dx[at.P + i]
+        x[at.X_V + i] += dx[at.V + i]
+        x[at.X_BG + i] += dx[at.BG + i]
+        x[at.X_BA + i] += dx[at.BA + i]
+        x[at.X_PIC + i] += dx[at.LEVER + i]
+    for i in range(6):
+        x[at.X_BIAS + i] += dx[at.BIAS + i]
+    x[at.X_TD] += dx[at.TD]
+    turn_quat(x, at.X_Q, exp_quat(dx[at.TH], dx[at.TH + 1], dx[at.TH + 2]))
+    turn_quat(x, at.X_QIC, exp_quat(dx[at.EX], dx[at.EX + 1], dx[at.EX + 2]))
+    turn_quat(x, at.X_QWG, exp_quat(dx[at.GR], dx[at.GR + 1], 0.0))
+    _reset(P, at.TH, dx)
+    _reset(P, at.EX, dx)
+
+
+@njit(cache=True)
+def _reset(P: Array, s: int, dx: Array) -> None:
+    """P := G P G^T with G = I - hat(dx[s:s+3]) / 2 on that block, identity elsewhere."""
+    a, b, c = 0.5 * dx[s], 0.5 * dx[s + 1], 0.5 * dx[s + 2]
+    n = P.shape[0]
+    for j in range(n):
+        u, v, w = P[s, j], P[s + 1, j], P[s + 2, j]
+        P[s, j] = u + c * v - b * w
+        P[s + 1, j] = v - c * u + a * w
+        P[s + 2, j] = w + b * u - a * v
+    for j in range(n):
+        u, v, w = P[j, s], P[j, s + 1], P[j, s + 2]
+        P[j, s] = u + c * v - b * w
+        P[j, s + 1] = v - c * u + a * w
+        P[j, s + 2] = w + b * u - a * v
+    for i in range(s, s + 3):
+        for j in range(n):
+            P[j, i] = P[i, j]
+
+
+@njit(cache=True)
+def distance(S: Array, r: Array, first: int, m: int) -> float:
+    """Squared Mahalanobis length of r[first:first+m] under that block of S; inf where singular."""
+    L, y = np.empty((m, m)), np.empty((m, 1))
+    for i in range(m):
+        y[i, 0] = r[first + i]
+        for j in range(m):
+            L[i, j] = S[first + i, first + j]
+    if not cholesky(L, m):
+        return np.inf
+    solve_lower(L, m, y)
+    d = 0.0
+    for i in range(m):
+        d += y[i, 0] * y[i, 0]
+    return d if d >= 0.0 else np.inf
+
+
+@njit(cache=True)
+def pose_residual(x: Array, z: Array, r: Array) -> None:
+    """r (6,) := measured minus predicted camera pose [m, rad]; z = p_WC, q_WC, ... ."""
+    q = np.empty(4)
+    R_WC, p_WC = np.empty((3, 3)), np.empty(3)
+    camera_pose(x, R_WC, p_WC)
+    q[:] = x[at.X_Q : at.X_Q + 4]
+    turn_quat(q, 0, (x[at.X_QIC], x[at.X_QIC + 1], x[at.X_QIC + 2], x[at.X_QIC + 3]))
+    turn_quat(q, 0, exp_quat(x[at.X_BIAS + 3], x[at.X_BIAS + 4], x[at.X_BIAS + 5]))
+    q[1], q[2], q[3] = -q[1], -q[2], -q[3]
+    turn_quat(q, 0, (z[3], z[4], z[5], z[6]))
+    s = math.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    sign = -1.0 if q[0] < 0.0 else 1.0
+    k = 2.0 * sign if s < 1e-9 else 2.0 * math.atan2(s, abs(q[0])) / s * sign
+    for i in range(3):
+        r[i] = z[i] - p_WC[i]
+        r[3 + i] = k * q[1 + i]
+
+
+@njit(cache=True)
+def correct_pose(
+    x: Array, P: Array, w: Array, z: Array, inflation: float, gate: float
+) -> tuple[int, float]:
+    """Correct by a camera pose z (43,): p_WC, q_WC, cov (36); what became of it, and its NIS.
+
+    w (3,) gyro then; inflation multiplies cov; gate scales the 99.9 % limits (inf: no gate).
+    """
+    n = P.shape[0]
+    H, M, S, r = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6)), np.empty(6)
+    camera_jacobian(x, w, H)
+    times_p(H, P, M)
+    times_ht(M, H, S)
+    pose_residual(x, z, r)
+    for i in range(6):
+        for j in range(6):
+            S[i, j] += inflation * z[7 + 6 * i + j]
+    nis = distance(S, r, 0, 6)
+    if nis == np.inf or nis != nis:
+        return at.SINGULAR, nis
+    first, m, verdict = 0, 6, at.ACCEPTED
+    if nis > GATE_6 * gate:
+        if distance(S, r, 0, 3) <= GATE_3 * gate:
+            m, verdict = 3, at.POSITION_ONLY
+        elif distance(S, r, 3, 3) <= GATE_3 * gate:
+            first, m, verdict = 3, 3, at.ROTATION_ONLY
+        else:
+            return at.REJECTED, nis
+    L = S[first : first + m, first : first + m].copy()
+    good = cholesky(L, m)
+    good = good and downdate(x, P, L, M[first : first + m], r[first : first + m])
+    return (verdict if good else at.SINGULAR), nis
+
+
+@njit(cache=True)
+def correct_still(x: Array, P: Array, variance: float, gate: float) -> tuple[int, float]:
+    """Correct by a velocity of zero, `variance` [m^2/s^2] an axis (on the ground only)."""
+    M, S, r = P[at.V : at.V + 3].copy(), np.empty((3, 3)), np.empty(3)
+    for i in range(3):
+        r[i] = -x[at.X_V + i]
+        for j in range(3):
+            S[i, j] = P[at.V + i, at.V + j]
+        S[i, i] += variance
+    nis = distance(S, r, 0, 3)
+    if not nis <= GATE_3 * gate:
+        return at.REJECTED, nis
+    good = cholesky(S, 3) and downdate(x, P, S, M, r)
+    return (at.ACCEPTED if good else at.SINGULAR), nis
