@@ -12,7 +12,7 @@ from tagvo import geometry as geo
 from tagvo.errors import MapError, choose_one_of
 from tagvo.families import Family, family_named
 from tagvo.geometry import Array, IntArray
-from tagvo.textfile import read_yaml, write_atomic
+from tagvo.textfile import finite_numbers, read_yaml, write_atomic
 
 SIZE_KINDS = ("border", "total")
 _SIGMA_KEYS = ("xy", "z", "yaw_deg", "tilt_deg")
@@ -162,12 +162,7 @@ def map_from_dict(data: dict[str, Any], where: str) -> TagMap:
 
 def numbers(value: object, count: int, where: str) -> list[float]:
     """`count` finite numbers of a YAML list; MapError otherwise."""
-    good = isinstance(value, list | tuple) and len(value) == count
-    if good and all(isinstance(v, int | float) and not isinstance(v, bool) for v in value):  # type: ignore[attr-defined]
-        out = [float(v) for v in value]  # type: ignore[attr-defined]
-        if np.isfinite(out).all():
-            return out
-    raise MapError(f"{where}: {value!r}; a list of {count} finite numbers is needed")
+    return finite_numbers(value, count, where, MapError)
 
 
 def unit_quaternion(value: object, where: str) -> list[float]:

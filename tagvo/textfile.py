@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,27 @@ import yaml
 from tagvo.errors import TagvoError
 
 try:  # the C parser is ten times faster and comes with the wheels
-    from yaml import CSafeLoader as _Loader
+    from yaml import CSafeLoader as _SafeLoader
 except ImportError:  # pragma: no cover - pure-Python PyYAML
-    from yaml import SafeLoader as _Loader  # type: ignore[assignment]
+    from yaml import SafeLoader as _SafeLoader  # type: ignore[assignment]
 
 
-def read_text(path: Path, error: type[TagvoError] = TagvoError) -> str:
-    """Text of a UTF-8 file; raises `error` naming the file where it cannot be read."""
+class _Loader(_SafeLoader):
+    """A safe loader that reads 1e-3 as a number, as YAML 1.2 does; PyYAML alone makes it text."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
+
+
+def read_text(path: Path, error: type[Exception] = TagvoError, undecodable: str = "strict") -> str:
+    """Text of a UTF-8 file; raises `error` naming the file where it cannot be read.
+
+    `undecodable` says what becomes of bytes that are no UTF-8: strict (an error) or replace.
+    """
     try:
-        return path.read_text(encoding="utf-8-sig")
+        return path.read_text(encoding="utf-8-sig", errors=undecodable)
     except FileNotFoundError:
         raise error(f"{path}: no such file") from None
     except IsADirectoryError:
@@ -30,7 +43,7 @@ def read_text(path: Path, error: type[TagvoError] = TagvoError) -> str:
         raise error(f"{path}: cannot be read ({err.strerror})") from None
 
 
-def parse_yaml(text: str, where: str, error: type[TagvoError] = TagvoError) -> Any:
+def parse_yaml(text: str, where: str, error: type[Exception] = TagvoError) -> Any:
     """YAML value of a text; OpenCV's `%YAML:1.0` first line is accepted."""
     text = re.sub(r"\A%YAML:1\.0[^\n]*\n(---[^\n]*\n)?", "", text)
     text = text.replace("!!opencv-matrix", "")
@@ -41,9 +54,11 @@ def parse_yaml(text: str, where: str, error: type[TagvoError] = TagvoError) -> A
         line = f" line {mark.line + 1}" if mark is not None else ""
         reason = getattr(err, "problem", None) or str(err).splitlines()[0]
         raise error(f"{where}{line}: not valid YAML ({reason})") from None
+    except (ValueError, RecursionError) as err:  # a date that is none, a million brackets
+        raise error(f"{where}: not valid YAML ({err})") from None
 
 
-def read_yaml(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any]:
+def read_yaml(path: Path, error: type[Exception] = TagvoError) -> dict[str, Any]:
     """YAML mapping of a file; raises `error` where it is not YAML or not a mapping."""
     value = parse_yaml(read_text(path, error), str(path), error)
     if not isinstance(value, dict):
@@ -52,7 +67,7 @@ def read_yaml(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any
     return value
 
 
-def read_json(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any]:
+def read_json(path: Path, error: type[Exception] = TagvoError) -> dict[str, Any]:
     """JSON object of a file; raises `error` where it is not JSON or not an object."""
     try:
         value = json.loads(read_text(path, error))
@@ -61,6 +76,26 @@ def read_json(path: Path, error: type[TagvoError] = TagvoError) -> dict[str, Any
     if not isinstance(value, dict):
         raise error(f"{path}: holds a {type(value).__name__}; a JSON object is needed")
     return value
+
+
+def finite_numbers(value: object, count: int, where: str, error: type[Exception]) -> list[float]:
+    """`count` finite numbers of a YAML or JSON list; `error` says what came otherwise."""
+    if isinstance(value, list | tuple) and len(value) == count and all(map(_is_number, value)):
+        return [float(v) for v in value]
+    raise error(f"{where}: {value!r}; a list of {count} finite numbers is needed")
+
+
+def finite_number(value: object, where: str, error: type[Exception]) -> float:
+    """One finite number of a YAML or JSON file; `error` says what came otherwise."""
+    if not _is_number(value):
+        raise error(f"{where}: {value!r}; a finite number is needed")
+    return float(value)  # type: ignore[arg-type]
+
+
+def _is_number(value: object) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= sys.float_info.max  # False for NaN, inf and whole numbers too big
 
 
 def write_atomic(path: Path, text: str) -> None:

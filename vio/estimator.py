@@ -35,7 +35,7 @@ VERDICTS = {
 def process_noise(noise: ImuNoise, config: VioConfig) -> Array:
     """The vector q of `layout` from an IMU's densities and the configuration; (10,)."""
     c = config.prior
-    sigma = [noise.gyro, noise.accel, noise.gyro_walk, noise.accel_walk]
+    sigma = [noise.gyro_density, noise.accel_density, noise.gyro_walk, noise.accel_walk]
     sigma += [config.extrinsic_walk_rad, config.time_offset_walk_s]
     sigma += [c.pose_bias_m, float(np.radians(c.pose_bias_deg))]
     return np.append(np.square(sigma), [1.0 / c.pose_bias_time_s, config.gravity_m_s2])
@@ -54,13 +54,14 @@ class Estimator:
         self._gravity = (
             None if known is None else (np.array(known.dir), float(np.radians(known.sigma_deg)))
         )
-        ticks = int(np.ceil((config.buffer_s + 0.5) * max(noise.rate, 100.0) * 1.5))
+        rate = noise.rate_hz or 200.0
+        ticks = int(np.ceil((config.buffer_s + 0.5) * max(rate, 100.0) * 1.5))
         tags = config.max_tags if config.update == "corners" else 0
         width = 2 + max(at.POSE_NUMBERS, tags * at.TAG_NUMBERS)
         par = np.array([config.r_inflation, config.gate])
         q = process_noise(noise, config)
         self._window = Window(dimension(config), ticks, _SLOTS, width, q, par)
-        self._intake = ImuIntake(noise)
+        self._intake = ImuIntake(1.0 / rate, config.gyro_max_rad_s, config.accel_max_m_s2)
         self._intervals: deque[Interval] = deque()
         self._poses: deque[PoseMeasurement] = deque(maxlen=64)
         self._counters: Counter[str] = Counter()

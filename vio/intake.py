@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagvo.geometry import Array
-from vio.records import ImuNoise, ImuSample
+from vio.records import ImuSample
 
 GAP_NS = 20_000_000  # a longer step is cut into sub-steps of the mean
 DEGRADED_NS = 200_000_000
@@ -29,9 +29,9 @@ class Interval:
 class ImuIntake:
     """Checks samples one by one; `lost` says that the last gap was too long to bridge."""
 
-    def __init__(self, noise: ImuNoise) -> None:
-        self._limit = 0.995 * np.repeat([noise.gyro_max, noise.accel_max], 3)
-        self._period_ns = 1e9 / noise.rate
+    def __init__(self, period_s: float, gyro_max: float, accel_max: float) -> None:
+        self._limit = 0.995 * np.repeat([gyro_max, accel_max], 3)
+        self._period_ns = 1e9 * period_s
         self._before: ImuSample | None = None
         self._was_saturated = np.zeros(6, dtype=bool)
         self.degraded_at_ns: int | None = None
@@ -40,7 +40,7 @@ class ImuIntake:
     def take(self, sample: ImuSample) -> tuple[list[Interval], bool]:
         """Intervals up to this sample, and whether the time before it is lost."""
         self.counters["imu"] += 1
-        six = np.concatenate([sample.gyro, sample.accel])
+        six = np.concatenate([sample.gyro_I, sample.accel_I])
         if not np.isfinite(six).all():
             self.counters["imu_not_finite"] += 1
             return [], False
@@ -70,9 +70,9 @@ class ImuIntake:
 
     def _cut(self, before: ImuSample, sample: ImuSample, scale: Array) -> list[Interval]:
         span = sample.t_ns - before.t_ns
-        gyro, accel = sample.gyro, sample.accel
+        gyro, accel = sample.gyro_I, sample.accel_I
         if not sample.mean:
-            gyro, accel = 0.5 * (gyro + before.gyro), 0.5 * (accel + before.accel)
+            gyro, accel = 0.5 * (gyro + before.gyro_I), 0.5 * (accel + before.accel_I)
         if span <= max(GAP_NS, 2.5 * self._period_ns):
             return [Interval(before.t_ns, sample.t_ns, gyro, accel, scale)]
         self.counters["imu_gap"] += 1

@@ -1,41 +1,89 @@
-"""The frozen records of vio: what an IMU says, and what the estimators answer."""
+"""The records that flow through vio: samples of a live or logged IMU, truth, phases, noise."""
 
 from dataclasses import dataclass
 
-from tagvo.geometry import Array
+from tagvo.geometry import Array, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuSample:
-    """One sample of an IMU, in I.
+    """One IMU sample.
 
-    t_ns: the IMU's clock; gyro (3,) [rad/s]; accel (3,) specific force [m/s^2]; arrival_ns: when
-    it was known, None: at its stamp; mean: the figures are means since the sample before
-    (increments divided by the interval) and not values at t_ns.
+    t_ns in the IMU's clock; gyro_I (3,) [rad/s]; accel_I (3,) specific force [m/s^2];
+    arrival_ns: when it was known, in the same clock; mean: the figures are means since the sample
+    before (increments divided by the interval), not values at t_ns.
     """
 
     t_ns: int
-    gyro: Array
-    accel: Array
-    arrival_ns: int | None = None
+    gyro_I: Array
+    accel_I: Array
+    arrival_ns: int
     mean: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuTrack:
+    """n IMU samples in the order of their file, which need not be that of time.
+
+    t_ns (n,); gyro_I (n, 3) [rad/s]; accel_I (n, 3) specific force [m/s^2]; arrival_ns (n,).
+    """
+
+    t_ns: IntArray
+    gyro_I: Array
+    accel_I: Array
+    arrival_ns: IntArray
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def sample(self, row: int) -> ImuSample:
+        """One row as a sample; its arrays are views."""
+        return ImuSample(
+            int(self.t_ns[row]), self.gyro_I[row], self.accel_I[row], int(self.arrival_ns[row])
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """n reference poses of I in W, stamps strictly ascending.
+
+    t_ns (n,); p_WI (n, 3) [m]; q_WI (n, 4) wxyz, unit; where the file has them (NaN: not known):
+    v_WI (n, 3) [m/s], b_g (n, 3) [rad/s] and b_a (n, 3) [m/s^2] biases in I.
+    """
+
+    t_ns: IntArray
+    p_WI: Array
+    q_WI: Array
+    v_WI: Array | None = None
+    b_g: Array | None = None
+    b_a: Array | None = None
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """A named part of a flight, from t_start_ns up to t_end_ns; names may repeat and nest."""
+
+    name: str
+    t_start_ns: int
+    t_end_ns: int
 
 
 @dataclass(frozen=True, slots=True)
 class ImuNoise:
-    """Effective densities of one IMU, as Kalibr's imu.yaml names them; the start is a Pixhawk's.
+    """Effective continuous-time densities of an IMU, with Kalibr's meanings.
 
-    gyro [rad/s/sqrt(Hz)], accel [m/s^2/sqrt(Hz)], walks [rad/s^2/sqrt(Hz), m/s^3/sqrt(Hz)],
-    rate [Hz]; gyro_max [rad/s] and accel_max [m/s^2]: where an axis saturates.
+    accel_density [m/s^2/sqrt(Hz)], accel_walk [m/s^3/sqrt(Hz)], gyro_density [rad/s/sqrt(Hz)],
+    gyro_walk [rad/s^2/sqrt(Hz)]; rate_hz: nominal, None where the file does not say.
     """
 
-    gyro: float = 3e-4
-    accel: float = 5e-3
-    gyro_walk: float = 2e-5
-    accel_walk: float = 5e-4
-    rate: float = 200.0
-    gyro_max: float = 34.9
-    accel_max: float = 156.9
+    accel_density: float
+    accel_walk: float
+    gyro_density: float
+    gyro_walk: float
+    rate_hz: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -69,6 +69,8 @@ class VioConfig(_Model):
     time_offset_walk_s: NonNegativeFloat = 1e-5
     still_sigma_m_s: PositiveFloat = 0.02
     still_every_s: PositiveFloat = 0.2
+    gyro_max_rad_s: PositiveFloat = 34.9
+    accel_max_m_s2: PositiveFloat = 156.9
     prior: PriorConfig = PriorConfig()
     start: StartConfig = StartConfig()
     recovery: RecoveryConfig = RecoveryConfig()

@@ -1,0 +1,175 @@
+"""Opens a flight log and offers what is in it as one stream of events, in order of arrival."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from tagvo.camera import Camera
+from tagvo.camera_io import load_camera
+from tagvo.geometry import IntArray
+from tagvo.records import Frame
+from tagvo.tagmap import TagMap, load_map
+from vio.errors import LogError
+from vio.records import ImuNoise, ImuSample, ImuTrack, Phase, Truth
+from vio.sources.frames import FrameSource, open_frames
+from vio.sources.logfiles import read_imu, read_imu_noise, read_phases, read_truth
+from vio.sources.logoptions import LogOptions, only_tags_of
+from vio.sources.tally import Tally
+
+NEEDS = (
+    "a flight log needs tagmap.yaml, camchain-imucam.yaml (or mav0/cam0/sensor.yaml) and"
+    " mav0/cam0 with data.csv or detections.csv"
+)
+T = TypeVar("T")
+_TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlightLog:
+    """A flight log, opened and checked; images are read when their turn comes.
+
+    imu, imu_noise, truth, config_path: None where the log has none; t0_ns: the first IMU stamp,
+    without IMU the first frame's: times for --skip and --blackout count from it.
+    """
+
+    path: Path
+    tag_map: TagMap
+    camera: Camera
+    imu: ImuTrack | None
+    imu_noise: ImuNoise | None
+    truth: Truth | None
+    phases: tuple[Phase, ...]
+    config_path: Path | None
+    t0_ns: int
+    frames: FrameSource
+    tally: Tally
+
+    @staticmethod
+    def open(
+        path: Path,
+        *,
+        imu: str = "imu0",
+        use_detections: bool = False,
+        only_tags: Sequence[int] | None = None,
+        every: int = 1,
+        blackout: tuple[float, float] | None = None,
+        latency_s: float = 0.0,
+    ) -> "FlightLog":
+        """Read all but the images; LogError (or tagvo's errors) in one line where it cannot be."""
+        ids = only_tags_of(only_tags)
+        options = LogOptions(imu, use_detections, ids, every, blackout, latency_s)
+        camera_path = _check_folder(path)
+        tally = Tally()
+        tag_map = load_map(path / "tagmap.yaml")
+        if ids is not None:
+            tag_map = tag_map.only(np.array(ids, dtype=np.int64))
+        camera = load_camera(camera_path)
+        track = _open_imu(path, imu, tally)
+        t0_ns = None if track is None else int(track.t_ns[0])
+        frames = open_frames(path / "mav0/cam0", camera.resolution, options, t0_ns, tally)
+        log = FlightLog(
+            path,
+            tag_map,
+            camera,
+            track,
+            _optional(path / "imu.yaml", lambda p: read_imu_noise(p, imu)),
+            _optional(path / _TRUTH, lambda p: read_truth(p, tally)),
+            _optional(path / "phases.csv", lambda p: read_phases(p, tally)) or (),
+            _optional(path / "config.yaml", lambda p: p),
+            frames.first_ns if t0_ns is None else t0_ns,
+            frames,
+            tally,
+        )
+        _warn(log)
+        return log
+
+    @property
+    def frame_count(self) -> int:
+        """How many frames `events` will offer at most (an image may prove unreadable)."""
+        return len(self.frames)
+
+    @property
+    def imu_count(self) -> int:
+        """How many IMU samples `events` will offer."""
+        return 0 if self.imu is None else len(self.imu)
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """Faults met so far, by cause; grows while `events` reads images."""
+        return self.tally.counters
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a person should know of this log, a line each; grows as `counters` does."""
+        return self.tally.warnings
+
+    def events(self) -> Iterator[ImuSample | Frame]:
+        """IMU samples and frames in order of arrival, at equal times IMU first."""
+        n = self.imu_count
+        imu_ns = np.zeros(0, dtype=np.int64) if self.imu is None else self.imu.arrival_ns
+        arrival = np.concatenate([imu_ns, self.frames.arrival_ns])
+        for i in np.argsort(arrival, kind="stable").tolist():  # stable: IMU rows stand first
+            if i < n and self.imu is not None:
+                yield self.imu.sample(i)
+            elif (frame := self.frames.frame(i - n)) is not None:
+                yield frame
+
+
+def _check_folder(path: Path) -> Path:
+    """The camera file of a log folder; LogError names all that is missing."""
+    if not path.is_dir():
+        what = "is a file" if path.exists() else "no such folder"
+        raise LogError(f"{path}: {what}; {NEEDS}")
+    cameras = [path / "camchain-imucam.yaml", path / "mav0/cam0/sensor.yaml"]
+    camera = next((p for p in cameras if p.exists()), None)
+    cam0 = path / "mav0/cam0"
+    missing = [] if (path / "tagmap.yaml").exists() else ["tagmap.yaml"]
+    if camera is None:
+        missing.append("camchain-imucam.yaml")
+    if not ((cam0 / "data.csv").exists() or (cam0 / "detections.csv").exists()):
+        missing.append("mav0/cam0/data.csv")
+    if camera is None or missing:
+        raise LogError(f"{path}: no {', no '.join(missing)}; {NEEDS}")
+    return camera
+
+
+def _open_imu(path: Path, name: str, tally: Tally) -> ImuTrack | None:
+    file = path / "mav0" / name / "data.csv"
+    if file.exists():
+        return read_imu(file, tally)
+    there = sorted(p.parent.name for p in path.glob("mav0/*imu*/data.csv"))
+    if name != "imu0":
+        has = f"it has {', '.join(there)}" if there else "it has no IMU"
+        raise LogError(f"{path}: no IMU {name!r} (mav0/{name}/data.csv); {has}")
+    if there:
+        tally.note(f"{path}: no mav0/imu0, so no IMU is used; --imu takes {', '.join(there)}")
+    return None
+
+
+def _optional(path: Path, read: Callable[[Path], T]) -> T | None:
+    return read(path) if path.exists() else None
+
+
+def _warn(log: FlightLog) -> None:
+    """Note what is strange about a log as a whole."""
+    t_ns, tally = log.frames.t_ns, log.tally
+    if log.truth is not None and _apart(t_ns, log.truth.t_ns):
+        tally.note(f"{log.path}: truth and frames do not overlap in time")
+    if log.imu is None:
+        return
+    if log.imu_noise is None:
+        tally.note(f"{log.path}: no imu.yaml, so the noise of the IMU is not known")
+    if _apart(t_ns, log.imu.t_ns):
+        tally.note(f"{log.path}: IMU and frames do not overlap in time; are the clocks the same?")
+    if not log.camera.p_CI.any() and np.array_equal(log.camera.R_CI, np.eye(3)):
+        tally.note(f"{log.camera.source}: the camera's pose is that of the IMU; no T_cam_imu?")
+    early = int(np.sum(t_ns < log.imu.t_ns.min()))
+    tally.count("frame_before_imu", f"{log.path}: frames before the first IMU sample", early)
+
+
+def _apart(a_ns: IntArray, b_ns: IntArray) -> bool:
+    both = len(a_ns) > 0 and len(b_ns) > 0
+    return both and bool(a_ns.max() < b_ns.min() or b_ns.max() < a_ns.min())
