@@ -5,16 +5,16 @@ y down, z forward). Coefficients: radtan k1 k2 p1 p2 [k3 [k4 k5 k6]] (OpenCV), e
 k1..k4 of theta (Kannala-Brandt, OpenCV's fisheye).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
+from tagvo.compiled import njit
 from tagvo.geometry import Array, BoolArray
 
 _NEWTON_STEPS = 25
-_NEWTON_TOLERANCE = 1e-11
+_NEWTON_TOLERANCE = 1e-14
 _MAX_THETA = np.radians(85.0)  # equidistant: beyond it x/z is no useful coordinate
 
 
@@ -37,68 +37,115 @@ class Camera:
     source: str = "camera"
 
     @cached_property
+    def kernel_coeffs(self) -> Array:
+        """The coefficients padded with zeros to eight; (8,)."""
+        return np.concatenate([self.coeffs, np.zeros(8 - len(self.coeffs))])
+
+    @cached_property
     def max_radius(self) -> float:
         """Normalised radius up to which the distortion can be inverted (inf: everywhere)."""
         if self.model == "equidistant":
             return float(np.tan(_MAX_THETA))
         radii = np.linspace(0.0, 4.0, 8001)[1:]
-        x_n = np.stack([radii, np.zeros_like(radii)], axis=-1)
-        radial = np.concatenate([self.coeffs[:2], np.zeros(2), self.coeffs[4:]])
-        _, J = _radtan(x_n, radial)
+        radial = self.kernel_coeffs.copy()
+        radial[2:4] = 0.0
+        _, J = _distort_all(MODELS[self.model], radial, np.stack([radii, 0.0 * radii], axis=-1))
         folded = np.flatnonzero(J[:, 0, 0] <= 1e-3)
         return float(radii[folded[0]]) if folded.size else np.inf
 
 
-def _radtan(x_n: Array, k: Array) -> tuple[Array, Array]:
-    """Distorted normalised coordinates and their Jacobian; (..., 2) -> (..., 2), (..., 2, 2)."""
-    k1, k2, p1, p2, k3, k4, k5, k6 = np.concatenate([k, np.zeros(8 - len(k))]).tolist()
-    x, y = x_n[..., 0], x_n[..., 1]
+@njit
+def _radtan(x: float, y: float, k: Array, out: Array) -> None:
+    """Distorted x, y and d/dx, d/dy of both into out (6,); k (8,), zeros where not used."""
     xy, xx, yy = x * y, x * x, y * y
     r2 = xx + yy
-    top = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    d_top = k1 + r2 * (2 * k2 + r2 * 3 * k3)
-    if k4 or k5 or k6:
-        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-        d_below = k4 + r2 * (2 * k5 + r2 * 3 * k6)
-        g = top / below
-        dg = 2 * (d_top - g * d_below) / below  # d g / d r2, doubled
-    else:
-        g, dg = top, 2 * d_top
-    out = np.empty(x_n.shape)
-    out[..., 0] = x * g + 2 * p1 * xy + p2 * (r2 + 2 * xx)
-    out[..., 1] = y * g + p1 * (r2 + 2 * yy) + 2 * p2 * xy
-    J = np.empty((*x_n.shape, 2))
-    J[..., 0, 0] = g + xx * dg + 2 * p1 * y + 6 * p2 * x
-    J[..., 0, 1] = J[..., 1, 0] = xy * dg + 2 * p1 * x + 2 * p2 * y
-    J[..., 1, 1] = g + yy * dg + 6 * p1 * y + 2 * p2 * x
-    return out, J
+    top = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
+    below = 1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
+    g = top / below
+    d_top = k[0] + r2 * (2 * k[1] + r2 * 3 * k[4])
+    dg = 2 * (d_top - g * (k[5] + r2 * (2 * k[6] + r2 * 3 * k[7]))) / below
+    p1, p2 = k[2], k[3]
+    out[0] = x * g + 2 * p1 * xy + p2 * (r2 + 2 * xx)
+    out[1] = y * g + p1 * (r2 + 2 * yy) + 2 * p2 * xy
+    out[2] = g + xx * dg + 2 * p1 * y + 6 * p2 * x
+    out[3] = out[4] = xy * dg + 2 * p1 * x + 2 * p2 * y
+    out[5] = g + yy * dg + 6 * p1 * y + 2 * p2 * x
 
 
-def _equidistant(x_n: Array, k: Array) -> tuple[Array, Array]:
+@njit
+def _equidistant(x: float, y: float, k: Array, out: Array) -> None:
     """As `_radtan`, for the fisheye model theta_d = theta (1 + k1 theta^2 + ...)."""
-    r = np.sqrt(np.einsum("...i,...i->...", x_n, x_n))
-    small = r < 1e-6
-    safe = np.where(small, 1.0, r)
+    r = np.sqrt(x * x + y * y)
     theta = np.arctan(r)
     t2 = theta * theta
-    poly = 1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))
-    d_theta_d = 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])))
-    scale = np.where(small, 1.0, theta * poly / safe)
-    d_scale = np.where(small, 0.0, (d_theta_d / (1 + r * r) - scale) / (safe * safe))
-    outer = x_n[..., :, None] * x_n[..., None, :]
-    J = scale[..., None, None] * np.eye(2) + d_scale[..., None, None] * outer
-    return np.asarray(scale[..., None] * x_n), J
+    scale, d_scale = 1.0, 0.0
+    if r > 1e-6:
+        d = 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])))
+        scale = theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) / r
+        d_scale = (d / (1 + r * r) - scale) / (r * r)
+    out[0], out[1] = scale * x, scale * y
+    out[2], out[5] = scale + d_scale * x * x, scale + d_scale * y * y
+    out[3] = out[4] = d_scale * x * y
 
 
-def _undistorted(x_n: Array, k: Array) -> tuple[Array, Array]:
-    return x_n, np.broadcast_to(np.eye(2), (*x_n.shape, 2)).copy()
+@njit
+def _distort_point(model: int, x: float, y: float, k: Array, out: Array) -> None:
+    if model == 1:
+        _radtan(x, y, k, out)
+    elif model == 2:
+        _equidistant(x, y, k, out)
+    else:
+        out[0], out[1], out[2], out[3], out[4], out[5] = x, y, 1.0, 0.0, 0.0, 1.0
 
 
-DISTORTION: dict[str, Callable[[Array, Array], tuple[Array, Array]]] = {
-    "radtan": _radtan,
-    "equidistant": _equidistant,
-    "none": _undistorted,
-}
+@njit
+def _distort_all(model: int, k: Array, x_n: Array) -> tuple[Array, Array]:
+    """Distorted coordinates (m, 2) and Jacobians (m, 2, 2) of x_n (m, 2)."""
+    m = len(x_n)
+    x_d, J = np.empty((m, 2)), np.empty((m, 2, 2))
+    point = np.empty(6)
+    for i in range(m):
+        _distort_point(model, x_n[i, 0], x_n[i, 1], k, point)
+        x_d[i, 0], x_d[i, 1] = point[0], point[1]
+        J[i, 0, 0], J[i, 0, 1], J[i, 1, 0], J[i, 1, 1] = point[2], point[3], point[4], point[5]
+    return x_d, J
+
+
+@njit
+def _undistort_all(
+    model: int, k: Array, target: Array, max_radius: float
+) -> tuple[Array, Array, BoolArray]:
+    """Newton's method on `_distort_point` for every row of target (m, 2)."""
+    m = len(target)
+    x_n, J, valid = np.zeros((m, 2)), np.zeros((m, 2, 2)), np.zeros(m, dtype=np.bool_)
+    point = np.empty(6)
+    for i in range(m):
+        u, v = target[i, 0], target[i, 1]
+        x, y = u, v
+        if model == 2:
+            theta = np.sqrt(u * u + v * v)
+            if theta > 1e-6:
+                x, y = u * np.tan(min(theta, 1.48)) / theta, v * np.tan(min(theta, 1.48)) / theta
+        residual = np.inf
+        for _ in range(_NEWTON_STEPS):
+            _distort_point(model, x, y, k, point)
+            eu, ev = u - point[0], v - point[1]
+            residual = max(abs(eu), abs(ev))
+            if residual < _NEWTON_TOLERANCE:
+                break
+            det = point[2] * point[5] - point[3] * point[4]
+            if not abs(det) > 1e-9:
+                break
+            x += min(max((point[5] * eu - point[3] * ev) / det, -0.5), 0.5)
+            y += min(max((point[2] * ev - point[4] * eu) / det, -0.5), 0.5)
+        J[i, 0, 0], J[i, 0, 1], J[i, 1, 0], J[i, 1, 1] = point[2], point[3], point[4], point[5]
+        if residual < 1e-8 and x * x + y * y < max_radius * max_radius:
+            valid[i] = True
+            x_n[i, 0], x_n[i, 1] = x, y
+    return x_n, J, valid
+
+
+MODELS = {"none": 0, "radtan": 1, "equidistant": 2}
 
 
 def distort(camera: Camera, x_n: Array) -> tuple[Array, Array]:
@@ -106,9 +153,11 @@ def distort(camera: Camera, x_n: Array) -> tuple[Array, Array]:
 
     x_n (..., 2) -> pixels (..., 2), J (..., 2, 2).
     """
-    x_d, J = DISTORTION[camera.model](x_n, camera.coeffs)
+    flat = np.ascontiguousarray(x_n, dtype=float).reshape(-1, 2)
+    x_d, J = _distort_all(MODELS[camera.model], camera.kernel_coeffs, flat)
     f = camera.intrinsics[:2]
-    return x_d * f + camera.intrinsics[2:], J * f[:, None]
+    pixels = x_d.reshape(x_n.shape) * f + camera.intrinsics[2:]
+    return pixels, J.reshape(*x_n.shape, 2) * f[:, None]
 
 
 def project(camera: Camera, p_C: Array) -> tuple[Array, BoolArray]:
@@ -144,31 +193,9 @@ def unproject(camera: Camera, pixels: Array) -> tuple[Array, Array, BoolArray]:
     False (and x_n 0) where the model has no inverse, as far outside a strong barrel distortion.
     """
     f, c = camera.intrinsics[:2], camera.intrinsics[2:]
-    target = (pixels - c) / f
-    function, k = DISTORTION[camera.model], camera.coeffs
-    x = _first_guess(camera, target)
-    for _ in range(_NEWTON_STEPS):
-        x_d, J = function(x, k)
-        error = target - x_d
-        det = J[..., 0, 0] * J[..., 1, 1] - J[..., 0, 1] * J[..., 1, 0]
-        det = np.where(np.abs(det) < 1e-9, 1e-9, det)
-        step = np.empty(x.shape)
-        step[..., 0] = (J[..., 1, 1] * error[..., 0] - J[..., 0, 1] * error[..., 1]) / det
-        step[..., 1] = (J[..., 0, 0] * error[..., 1] - J[..., 1, 0] * error[..., 0]) / det
-        x = x + np.clip(step, -0.5, 0.5)
-        if np.abs(step).max(initial=0.0) < _NEWTON_TOLERANCE:
-            break
-    x_d, J = function(x, k)
-    radius = np.sqrt(np.einsum("...i,...i->...", x, x))
-    residual = np.abs(target - x_d).max(axis=-1, initial=0.0)
-    valid = np.isfinite(x).all(axis=-1) & (residual < 1e-8) & (radius < camera.max_radius)
-    return np.where(valid[..., None], x, 0.0), J * f[:, None], valid
-
-
-def _first_guess(camera: Camera, target: Array) -> Array:
-    if camera.model != "equidistant":
-        return target.copy()
-    theta = np.sqrt(np.einsum("...i,...i->...", target, target))
-    safe = np.where(theta < 1e-6, 1.0, theta)
-    scale = np.where(theta < 1e-6, 1.0, np.tan(np.minimum(theta, _MAX_THETA)) / safe)
-    return np.asarray(scale[..., None] * target)
+    target = np.ascontiguousarray((pixels - c) / f).reshape(-1, 2)
+    x_n, J, valid = _undistort_all(
+        MODELS[camera.model], camera.kernel_coeffs, target, camera.max_radius
+    )
+    shape = pixels.shape
+    return x_n.reshape(shape), J.reshape(*shape, 2) * f[:, None], valid.reshape(shape[:-1])

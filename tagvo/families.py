@@ -29,7 +29,7 @@ class Family:
 
 
 def _april(name: str, ids: int, border: int, total: int, rev: bool, aruco: str | None) -> Family:
-    return Family(name, ids, border, total, rev, apriltag=name != "tag36h10", aruco=aruco)
+    return Family(name, ids, border, total, rev, apriltag=True, aruco=aruco)
 
 
 def _aruco(name: str, ids: int, bits: int) -> Family:

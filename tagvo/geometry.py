@@ -81,7 +81,7 @@ def right_jacobian_inv(phi: Array) -> Array:
     t = np.where(small, 1.0, theta)
     half = 0.5 * t
     series = 1.0 / 12.0 + theta**2 / 720.0 * (1.0 + theta**2 / 42.0)
-    d = np.where(small, series, (1.0 - half / np.tan(half)) / (t * t))
+    d: Array = np.where(small, series, (1.0 - half / np.tan(half)) / (t * t))
     k = hat(phi)
     return np.eye(3) + 0.5 * k + d[..., None, None] * (k @ k)
 

@@ -175,10 +175,9 @@ def unit_quaternion(value: object, where: str) -> list[float]:
 
 
 def _positive(value: object, where: str) -> float:
-    ok = isinstance(value, int | float) and not isinstance(value, bool)
-    if not ok or not np.isfinite(float(value)) or float(value) <= 0.0:  # type: ignore[arg-type]
+    if not is_number(value) or value <= 0.0:
         raise MapError(f"{where}: {value!r}; a positive number of metres is needed")
-    return float(value)  # type: ignore[arg-type]
+    return float(value)
 
 
 def _tag(
@@ -231,8 +230,7 @@ def _sigma(
     for key, number in value.items():
         if key not in _SIGMA_KEYS:
             raise MapError(choose_one_of(where, key, _SIGMA_KEYS))
-        good = isinstance(number, int | float) and not isinstance(number, bool)
-        if not good or not np.isfinite(number) or number < 0.0:
+        if not is_number(number) or number < 0.0:
             raise MapError(f"{where} {key}: {number!r}; a number of at least 0 is needed")
         scale = np.pi / 180.0 if key.endswith("_deg") else 1.0
         out[_SIGMA_KEYS.index(key)] = float(number) * scale

@@ -3,13 +3,14 @@
 import json
 import os
 import re
-import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import yaml
 
 from tagvo.errors import TagvoError
+
+_LARGEST = 1e30  # no metre, pixel or second is beyond; powers of what is below stay finite
 
 try:  # the C parser is ten times faster and comes with the wheels
     from yaml import CSafeLoader as _SafeLoader
@@ -80,22 +81,23 @@ def read_json(path: Path, error: type[Exception] = TagvoError) -> dict[str, Any]
 
 def finite_numbers(value: object, count: int, where: str, error: type[Exception]) -> list[float]:
     """`count` finite numbers of a YAML or JSON list; `error` says what came otherwise."""
-    if isinstance(value, list | tuple) and len(value) == count and all(map(_is_number, value)):
+    if isinstance(value, list | tuple) and len(value) == count and all(map(is_number, value)):
         return [float(v) for v in value]
     raise error(f"{where}: {value!r}; a list of {count} finite numbers is needed")
 
 
 def finite_number(value: object, where: str, error: type[Exception]) -> float:
     """One finite number of a YAML or JSON file; `error` says what came otherwise."""
-    if not _is_number(value):
+    if not is_number(value):
         raise error(f"{where}: {value!r}; a finite number is needed")
-    return float(value)  # type: ignore[arg-type]
+    return float(value)
 
 
-def _is_number(value: object) -> bool:
+def is_number(value: object) -> TypeGuard[int | float]:
+    """Whether a value of YAML or JSON is a finite number; a truth value is none."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return abs(value) <= sys.float_info.max  # False for NaN, inf and whole numbers too big
+    return abs(value) <= _LARGEST  # False for NaN, too
 
 
 def write_atomic(path: Path, text: str) -> None:

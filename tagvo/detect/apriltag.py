@@ -13,6 +13,7 @@ from tagvo.records import Detections
 _UPRIGHT = [3, 2, 1, 0]  # the library's order is BL, BR, TR, TL
 _PIXEL_CENTRE = 0.5  # where the library puts the centre of the first pixel
 _WIDE = 1280  # [px] from here decimate 2 loses no tag worth having; below, 1.5 pays
+_DECIMATES = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)  # at 1.75 the library finds nothing
 
 
 def decimate_for(width: int) -> float:
@@ -41,8 +42,9 @@ class AprilTagDetector:
                 f"apriltag: the AprilTag library does not read {family.name};"
                 f" it reads {', '.join(names)}"
             )
-        if decimate is not None and not 1.0 <= decimate <= 8.0:
-            raise DetectorError(f"apriltag decimate: {decimate!r}; a number from 1 to 8 is needed")
+        if decimate is not None and decimate not in _DECIMATES:
+            allowed = ", ".join(f"{d:g}" for d in _DECIMATES)
+            raise DetectorError(f"apriltag decimate: {decimate!r}; choose one of {allowed}")
         if not 0 <= maxhamming <= 2:
             raise DetectorError(f"apriltag maxhamming: {maxhamming!r}; 0, 1 or 2 corrected bits")
         self._family, self._decimate = family.name, decimate

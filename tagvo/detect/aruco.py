@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tagvo.detect.decode import Codes, codes, read_bits
+from tagvo.detect.decode import Codes, codes, read_bits, upright
 from tagvo.detect.edges import Gray, refit_corners, signed_area
 from tagvo.detect.protocol import gray_image, no_detections
 from tagvo.errors import DetectorError
@@ -43,6 +43,7 @@ class ArucoDetector:
         aruco, dictionary = _dictionary(family)
         parameters = aruco.DetectorParameters()
         parameters.markerBorderBits = border_bits
+        parameters.minDistanceToBorder = 0  # else it drops whole tags whose white ring is near
         parameters.errorCorrectionRate = 1.0  # the bits are read again between better corners
         if border_bits > 1 if thorough is None else thorough:
             parameters.cornerRefinementMethod = aruco.CORNER_REFINE_APRILTAG
@@ -65,9 +66,8 @@ class ArucoDetector:
         read = read_bits(gray, corners, self._codes, self._border_bits)
         good = np.flatnonzero(read.ok & (read.errors <= self._max_errors))
         good = good[np.lexsort((-read.margin[good], read.errors[good], read.tag_id[good]))]
-        turn = (np.arange(4) - read.turns[good, None]) % 4
-        upright = np.take_along_axis(corners[good], turn[..., None], axis=1)
-        found = Detections.of(read.tag_id[good], upright, read.errors[good], read.margin[good])
+        quads = upright(corners[good], read.turns[good])
+        found = Detections.of(read.tag_id[good], quads, read.errors[good], read.margin[good])
         return found[_first_of_each(found)]
 
     def _squares(self, gray: Gray) -> Array:

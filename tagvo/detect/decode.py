@@ -46,8 +46,11 @@ def codes(bits: np.ndarray[tuple[int, ...], np.dtype[np.uint8]]) -> Codes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """What stands in m squares: tag_id, turns (the upright corners are roll(corners, turns)),
-    errors, margin, ok (border and contrast are those of a tag); each (m,)."""
+    """What stands in m squares; each field (m,).
+
+    turns: quarter turns that `upright` undoes; errors: wrong bits; margin: as in Detections;
+    ok: border and contrast are those of a tag.
+    """
 
     tag_id: IntArray
     turns: IntArray
@@ -80,6 +83,12 @@ def read_bits(image: Gray, corners_px: Array, family: Codes, border_bits: int) -
     down = (-signal * ~bright).sum(axis=1) / np.maximum((~bright).sum(axis=1), 1)
     ok = (white - black > _MIN_CONTRAST) & ((frame > level).mean(axis=1) <= _BORDER_ERRORS)
     return Reading(best // 4, best % 4, errors, np.minimum(up, down), ok)
+
+
+def upright(corners_px: Array, turns: IntArray) -> Array:
+    """Corners (m, 4, 2) renumbered to TL, TR, BR, BL of the tag; turns (m,) of its `Reading`."""
+    order = (np.arange(4) - turns[:, None]) % 4
+    return np.asarray(np.take_along_axis(corners_px, order[..., None], axis=1))
 
 
 def _from_unit_square(corners_px: Array, grid: Array) -> Single:

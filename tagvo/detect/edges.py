@@ -22,7 +22,7 @@ _SEARCH_PX = 3.0  # how far from a rough corner the edge is looked for
 def sample(image: Gray, x: Single, y: Single) -> Single:
     """Bilinear grey values of an image (h, w) at x, y (...) [px]; outside: those of its rim."""
     h, w = image.shape
-    x, y = np.minimum(np.maximum(x, 0), w - 1), np.minimum(np.maximum(y, 0), h - 1)
+    x, y = np.fmin(np.fmax(x, 0), w - 1), np.fmin(np.fmax(y, 0), h - 1)  # NaN: 0
     x0 = np.minimum(x.astype(np.int32), max(w - 2, 0))
     y0 = np.minimum(y.astype(np.int32), max(h - 2, 0))
     x -= x0

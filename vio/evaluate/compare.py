@@ -129,17 +129,17 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
     write_atomic(path, json.dumps(jsonable(content), indent=2, allow_nan=False) + "\n")
 
 
-def best_of(content: Mapping[str, Any], view: str, column: Column) -> str | None:
-    """The estimator with the better figure in a view; None with fewer than two or all equal."""
+def best_of(content: Mapping[str, Any], view: str, column: Column) -> frozenset[str]:
+    """The estimators with the best figure (as shown) in a view; none where all are equal."""
     values: dict[str, float] = {
         name: round(views[view][column.key] * column.factor, column.digits)
         for name, views in content["estimators"].items()
         if views[view] is not None and views[view][column.key] is not None
     }
     if column.better == "none" or len(set(values.values())) < 2:
-        return None
-    pick = min if column.better == "min" else max
-    return str(pick(values, key=lambda name: values[name]))
+        return frozenset()
+    best = (min if column.better == "min" else max)(values.values())
+    return frozenset(name for name, value in values.items() if value == best)
 
 
 def rows(
@@ -151,7 +151,7 @@ def rows(
     for name, views in content["estimators"].items():
         for view in VIEWS:
             figures = views[view] or {}
-            cells = [(_text(figures.get(c.key), c), best[view, c.key] == name) for c in columns]
+            cells = [(_text(figures.get(c.key), c), name in best[view, c.key]) for c in columns]
             out.append((name, view, cells))
     return out
 

@@ -61,4 +61,4 @@ def path_in_time(t_ns: IntArray, p: Array) -> Array:
     step = max(1, -(-len(path) // MAX_POINTS))
     keep = np.isnan(path).any(axis=-1) | (np.arange(len(path)) % step == 0)
     keep[-1:] = True
-    return path[keep]
+    return np.asarray(path[keep])

@@ -29,8 +29,9 @@ td.better::after { content: "*"; }
 td:not(.better):not(.left)::after { content: "*"; visibility: hidden; }
 figure { margin: 0.5rem 0; min-width: 0; }
 .pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 420px), 1fr)); }
+@media (max-width: 600px) { .modebar { display: none !important; } }
 @media print {
-  body { max-width: 18cm; padding: 0; font-size: 11px; }
+  body { padding: 0; font-size: 11px; }
   table { font-size: 8px; }
   th, td { padding: 0.15rem 0.25rem; }
   figure, table { break-inside: avoid; }
@@ -43,6 +44,7 @@ figure { margin: 0.5rem 0; min-width: 0; }
 SCRIPT = """
 const dark = matchMedia("(prefers-color-scheme: dark)");
 function paint(printing) {
+  document.body.style.maxWidth = printing ? "17cm" : "";  // a sheet of A4 or letter
   const night = dark.matches && !printing;
   const ink = night ? "#e6e8eb" : "#1b1f24", line = night ? "#363d45" : "#d0d7de";
   for (const plot of document.querySelectorAll(".js-plotly-plot")) {

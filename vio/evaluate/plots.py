@@ -22,7 +22,7 @@ _XYZ, _RXYZ = ("x", "y", "z"), ("rx", "ry", "rz")
 _BAND = {
     "fill": "toself",
     "fillcolor": "rgba(128,128,128,0.28)",
-    "line": {"width": 0},
+    "line": {"width": 1, "color": GREY},
     "hoverinfo": "skip",
     "legendgroup": "band",
 }
@@ -56,7 +56,7 @@ def trajectory_figure(judged: Sequence[Judged], truth: TruthTrack, tag_map: TagM
             "xaxis_title": "x m",
             "yaxis_title": "y m",
             "zaxis_title": "z m",
-            "camera": {"eye": {"x": 1.1, "y": 1.1, "z": 0.9}, "up": _up(tag_map)},
+            "camera": {"eye": {"x": 1.3, "y": 1.3, "z": 1.0}, "up": _up(tag_map)},
         },
     )
     return fig
@@ -78,14 +78,14 @@ def axis_figure(errors: Errors, name: str, part: int, t_zero_ns: int) -> Any:
     fig = _rows(tuple(f"{axis} {unit}" for axis in (_XYZ, _RXYZ)[part]), height=460)
     for k in range(3):
         first = {"showlegend": k == 0}
+        t_s, y = thin(*in_time(errors.t_ns, values[:, k], t_zero_ns))
+        line = {"color": color(name), "width": 1.5}
+        fig.add_trace(_curve(t_s, y, name=label(name), line=line, **first), row=k + 1, col=1)
         if errors.cov is not None:
             variance = errors.cov[:, 3 * part + k, 3 * part + k]
             sigma = np.sqrt(np.where(variance >= 0.0, variance, np.nan)) * factor
             x, y = band(*in_time(errors.t_ns, 3.0 * sigma, t_zero_ns))
             fig.add_trace(_curve(x, y, name="3 sigma", **_BAND, **first), row=k + 1, col=1)
-        t_s, y = thin(*in_time(errors.t_ns, values[:, k], t_zero_ns))
-        line = {"color": color(name), "width": 1.5}
-        fig.add_trace(_curve(t_s, y, name=label(name), line=line, **first), row=k + 1, col=1)
     return fig
 
 

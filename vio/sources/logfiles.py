@@ -11,7 +11,8 @@ from tagvo.textfile import finite_number, read_yaml
 from vio.errors import LogError
 from vio.records import ImuNoise, ImuTrack, Phase, Truth
 from vio.sources.columns import Layout
-from vio.sources.csvtable import BLANK, Table, read_table
+from vio.sources.csvrows import BLANK
+from vio.sources.csvtable import Table, read_table
 from vio.sources.tally import Tally
 
 _GYRO = ("gyro_x", "gyro_y", "gyro_z")

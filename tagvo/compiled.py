@@ -1,0 +1,132 @@
+"""One way to compile: a typed `njit` that caches on disk, and small dense algebra for kernels.
+
+Kernels are module-level functions of arrays without side effects on their inputs, except those
+whose docstring names an output argument.
+"""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+import numba
+import numpy as np
+
+from tagvo.geometry import Array
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def drop_stale_code(folders: Iterable[Path]) -> None:
+    """Forget cached machine code older than the newest kernel source in these folders.
+
+    Numba looks at a kernel's own file alone: after an edit or a `git pull` a caller in another
+    file would go on running the old callee that was compiled into it.
+    """
+    folders = list(folders)
+    kernels = [p for d in folders for p in d.glob("*.py") if b"@njit" in p.read_bytes()]
+    newest = max((p.stat().st_mtime for p in kernels), default=0.0)
+    for index in (p for d in folders for p in d.glob("__pycache__/*.nb[ic]")):
+        try:
+            if index.stat().st_mtime < newest:
+                index.unlink()
+        except OSError:  # another process was quicker, or the folder is read-only
+            continue
+
+
+drop_stale_code([Path(__file__).parent])
+
+
+def njit(function: Callable[P, T]) -> Callable[P, T]:
+    """Compile at first call, keep the machine code on disk, release the GIL while running."""
+    compiled: Callable[P, T] = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    return compiled
+
+
+@njit
+def cholesky(A: Array) -> bool:
+    """Lower factor of a symmetric (n, n) in its lower triangle, in place; False: not positive."""
+    n = A.shape[0]
+    for j in range(n):
+        d = A[j, j]
+        for k in range(j):
+            d -= A[j, k] * A[j, k]
+        if not d > 0.0:
+            return False
+        d = np.sqrt(d)
+        A[j, j] = d
+        for i in range(j + 1, n):
+            v = A[i, j]
+            for k in range(j):
+                v -= A[i, k] * A[j, k]
+            A[i, j] = v / d
+    return True
+
+
+@njit
+def forward(L: Array, b: Array) -> None:
+    """Solve L x = b in place of b (n, m); L lower."""
+    n, m = b.shape
+    for i in range(n):
+        for k in range(i):
+            f = L[i, k]
+            for j in range(m):
+                b[i, j] -= f * b[k, j]
+        inv = 1.0 / L[i, i]
+        for j in range(m):
+            b[i, j] *= inv
+
+
+@njit
+def backward(L: Array, b: Array) -> None:
+    """Solve L^T x = b in place of b (n, m); L lower."""
+    n, m = b.shape
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            f = L[k, i]
+            for j in range(m):
+                b[i, j] -= f * b[k, j]
+        inv = 1.0 / L[i, i]
+        for j in range(m):
+            b[i, j] *= inv
+
+
+@njit
+def inverse_spd(A: Array, out: Array) -> bool:
+    """Inverse of a symmetric positive (n, n) into `out`; False (and out undefined) otherwise."""
+    n = A.shape[0]
+    L = A.copy()
+    if not cholesky(L):
+        return False
+    for i in range(n):
+        for j in range(n):
+            out[i, j] = 1.0 if i == j else 0.0
+    forward(L, out)
+    backward(L, out)
+    for i in range(n):
+        for j in range(i):
+            mean = 0.5 * (out[i, j] + out[j, i])
+            out[i, j] = mean
+            out[j, i] = mean
+    return True
+
+
+@njit
+def rotated(R: Array, phi: Array, out: Array) -> None:
+    """R Exp(phi) into `out` (3, 3); phi (3,) [rad]."""
+    t2 = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]
+    if t2 < 1e-8:
+        a, b = 1.0 - t2 / 6.0, 0.5 - t2 / 24.0
+    else:
+        t = np.sqrt(t2)
+        a, b = np.sin(t) / t, (1.0 - np.cos(t)) / t2
+    x, y, z = phi[0], phi[1], phi[2]
+    e00, e11, e22 = 1 - b * (y * y + z * z), 1 - b * (x * x + z * z), 1 - b * (x * x + y * y)
+    e01, e10 = b * x * y - a * z, b * x * y + a * z
+    e02, e20 = b * x * z + a * y, b * x * z - a * y
+    e12, e21 = b * y * z - a * x, b * y * z + a * x
+    for i in range(3):
+        r0, r1, r2 = R[i, 0], R[i, 1], R[i, 2]
+        out[i, 0] = r0 * e00 + r1 * e10 + r2 * e20
+        out[i, 1] = r0 * e01 + r1 * e11 + r2 * e21
+        out[i, 2] = r0 * e02 + r1 * e12 + r2 * e22

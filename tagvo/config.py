@@ -1,0 +1,94 @@
+"""How tagvo is steered: one frozen model; a paper variant is four of its strings."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from pydantic import BaseModel, Field, PositiveFloat, ValidationError
+
+from tagvo.detect.filters import FilterConfig
+from tagvo.errors import ConfigError
+from tagvo.information import FloorConfig
+from tagvo.joint import JointConfig
+from tagvo.outliers import IqrConfig
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class DetectorConfig(BaseModel, frozen=True, extra="forbid"):
+    """Which detector, and how it searches."""
+
+    library: Literal["auto", "apriltag", "aruco"] = "auto"
+    decimate: PositiveFloat | None = None
+    max_hamming: int = Field(default=1, ge=0, le=2)
+    threads: int = Field(default=1, ge=1, le=16)
+
+
+class NoiseConfig(BaseModel, frozen=True, extra="forbid"):
+    """Corner noise [px, one sigma per axis]; with `blur` it grows with the measured edge width."""
+
+    corner_px: PositiveFloat = 0.3
+    blur: bool = True
+
+
+class TagvoConfig(BaseModel, frozen=True, extra="forbid"):
+    """The stages of the pipeline by name, and their settings."""
+
+    pose: Literal["fused", "joint"] = "joint"
+    select: Literal["JBT", "TBS", "ALL"] = "TBS"
+    outliers: Literal["iqr", "none"] = "iqr"
+    weights: Literal["W1", "W2", "uniform"] = "W2"
+    mean: Literal["QL2", "CL2"] = "QL2"
+    fir: Literal["none", "paper", "endpoint"] = "none"
+    fir_gap_s: PositiveFloat = 0.25
+    ambiguity: Literal["first", "consistent", "prior"] = "consistent"
+    refine: int = Field(default=1, ge=0, le=10)
+    iqr: IqrConfig = IqrConfig()
+    joint: JointConfig = JointConfig()
+    noise: NoiseConfig = NoiseConfig()
+    floor: FloorConfig = FloorConfig()
+    detector: DetectorConfig = DetectorConfig()
+    filters: FilterConfig = FilterConfig.model_validate({})
+
+
+def validated(model: type[Model], data: object, where: str, prefix: str = "") -> Model:
+    """The model of a mapping; ConfigError names file, key, what came and what is allowed."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as err:
+        first = err.errors()[0]
+        path = [*([prefix] if prefix else []), *first["loc"]]
+        raise ConfigError(_say(model, first, where, path)) from None
+
+
+def _say(model: type[BaseModel], fault: Any, where: str, path: Iterable[Any]) -> str:
+    keys = [str(key) for key in path]
+    here = f"{where} {'.'.join(keys)}"
+    if fault["type"] == "extra_forbidden":
+        known = ", ".join(_fields_at(model, fault["loc"][:-1]))
+        return (
+            f"{where} {'.'.join(keys[:-1])}: unknown {keys[-1]!r}; choose one of {known}".replace(
+                "  ", " "
+            ).replace(" :", ":")
+        )
+    if fault["type"] == "literal_error":
+        allowed = fault["ctx"]["expected"].replace("'", "").replace(" or ", ", ")
+        return f"{here}: unknown {fault['input']!r}; choose one of {allowed}"
+    message = fault["msg"][:1].lower() + fault["msg"][1:]
+    return f"{here}: {fault['input']!r}; {message}"
+
+
+def _fields_at(model: type[BaseModel], loc: tuple[Any, ...]) -> list[str]:
+    for key in loc:
+        annotation = model.model_fields[str(key)].annotation
+        if not (isinstance(annotation, type) and issubclass(annotation, BaseModel)):
+            break
+        model = annotation
+    return list(model.model_fields)
+
+
+def load_tagvo_config(path: Path) -> TagvoConfig:
+    """The `tagvo` section of a config file; for those who use tagvo without vio."""
+    from tagvo.textfile import read_yaml
+
+    return validated(TagvoConfig, read_yaml(path, ConfigError).get("tagvo", {}), str(path), "tagvo")

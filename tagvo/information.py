@@ -1,0 +1,148 @@
+"""What one tag's corners say of the camera's pose: whitened residual, Jacobian, systematics.
+
+The residual of a tag has the covariance S = diag(sigma_px^2) + L Sigma L^T, where Sigma is how well
+the tag was laid and L how a laying error moves its corners in the image (Woodbury would give the
+same; 8 x 8 is small). Intrinsics errors are common to all tags and travel apart, as B.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, NonNegativeFloat
+
+from tagvo import reprojection
+from tagvo.compiled import cholesky, forward, inverse_spd, njit
+from tagvo.geometry import Array, IntArray
+
+SYSTEMATIC = 3  # focal length, principal point u, principal point v
+
+
+class FloorConfig(BaseModel, frozen=True, extra="forbid"):
+    """Standard deviations of what no fusion removes: the errors of the calibration."""
+
+    focal_rel: NonNegativeFloat = 0.001
+    principal_px: NonNegativeFloat = 0.5
+
+
+class TagBatch(NamedTuple):
+    """All that the kernels need of n observed tags.
+
+    R_WT (n, 3, 3), p_WT (n, 3), corners_T (n, 4, 3), laying (n, 6): from the map; corners_n
+    (n, 4, 2), J_px_n (n, 4, 2, 2), sigma_px (n, 4): as in Observations; offset_px (n, 4, 2):
+    corners less the principal point; floor (2,): FloorConfig's [focal_rel, principal_px].
+    """
+
+    R_WT: Array
+    p_WT: Array
+    corners_T: Array
+    laying: Array
+    corners_n: Array
+    J_px_n: Array
+    sigma_px: Array
+    offset_px: Array
+    floor: Array
+
+
+@njit
+def tag_rows(R_WC: Array, p_WC: Array, tags: TagBatch, i: int, rows: Array, L: Array) -> bool:
+    """Residual and Jacobians of tag i at a camera pose, before whitening.
+
+    Writes rows (8, 7): [r, d pixel / d [p_WC in W, right rotation in C]] and L (8, 6):
+    d pixel / d laying error in T. False: a corner is not in front of the camera.
+    """
+    R_WT, p_WT, X = tags.R_WT[i], tags.p_WT[i], tags.corners_T[i]
+    R_CT, p_CT = np.empty((3, 3)), np.empty(3)
+    r, A, x_C, J = np.empty(8), np.empty((8, 3)), np.empty((4, 3)), np.empty((8, 6))
+    for a in range(3):
+        p_CT[a] = 0.0
+        for b in range(3):
+            p_CT[a] += R_WC[b, a] * (p_WT[b] - p_WC[b])
+            R_CT[a, b] = R_WC[0, a] * R_WT[0, b] + R_WC[1, a] * R_WT[1, b] + R_WC[2, a] * R_WT[2, b]
+    front = reprojection.residual(R_CT, p_CT, X, tags.corners_n[i], tags.J_px_n[i], r, A, x_C)
+    reprojection.camera_jacobian(A, R_WC, x_C, J)
+    reprojection.tag_jacobian(A, R_CT, X, L)
+    for k in range(8):
+        rows[k, 0] = r[k]
+        for j in range(6):
+            rows[k, 1 + j] = J[k, j]
+    return front
+
+
+@njit
+def residual_factor(L: Array, laying: Array, sigma_px: Array, factor: Array) -> bool:
+    """Cholesky factor (8, 8) of S; L (8, 6), laying (6,) sigmas [m, rad], sigma_px (4,)."""
+    for i in range(8):
+        for j in range(i + 1):
+            v = 0.0
+            for k in range(6):
+                v += L[i, k] * laying[k] * laying[k] * L[j, k]
+            factor[i, j] = v
+        factor[i, i] += sigma_px[i // 2] * sigma_px[i // 2]
+    return cholesky(factor)
+
+
+@njit
+def systematic_rows(offset_px: Array, floor: Array, B: Array) -> None:
+    """B (8, 3): shift of the corners by one sigma of [focal, principal u, principal v] [px].
+
+    offset_px (4, 2): corners less the principal point; floor (2,): [focal_rel, principal_px].
+    """
+    for c in range(4):
+        for i in range(2):
+            B[2 * c + i, 0] = offset_px[c, i] * floor[0]
+            B[2 * c + i, 1] = floor[1] if i == 0 else 0.0
+            B[2 * c + i, 2] = floor[1] if i == 1 else 0.0
+
+
+@njit
+def mean_covariance(
+    R_WC: Array, p_WC: Array, tags: TagBatch, used: IntArray, weight: Array
+) -> Array:
+    """Covariance (6, 6) of the weighted mean of per-tag poses, at the mean pose.
+
+    P = sum w_i^2 (J_i^T S_i^-1 J_i)^-1 + D D^T over the used tags (k,), weight (k,) summing to 1, D
+    the mean's shift by one sigma of each systematic error; [p_WC in W, right rotation in C].
+    NaN where a tag lies behind the camera or is seen edge-on.
+    """
+    rows, L, factor, B = np.empty((8, 7)), np.empty((8, 6)), np.empty((8, 8)), np.empty((8, 3))
+    H, H_inv = np.empty((6, 6)), np.empty((6, 6))
+    P, D = np.zeros((6, 6)), np.zeros((6, SYSTEMATIC))
+    none = np.zeros(6)
+    for at in range(len(used)):
+        i, w = used[at], weight[at]
+        good = tag_rows(R_WC, p_WC, tags, i, rows, L)
+        systematic_rows(tags.offset_px[i], tags.floor, B)
+        laid, alone = rows[:, 1:].copy(), rows[:, 1:].copy()
+        good = residual_factor(L, tags.laying[i], tags.sigma_px[i], factor) and good
+        forward(factor, laid)
+        accumulate(laid, H)
+        good = inverse_spd(H, H_inv) and good
+        P += w * w * H_inv
+        residual_factor(L, none, tags.sigma_px[i], factor)  # the estimate weighs corners alone
+        forward(factor, alone)
+        forward(factor, B)
+        accumulate(alone, H)
+        good = inverse_spd(H, H_inv) and good
+        if not good:
+            P[:] = np.nan
+            return P
+        for a in range(6):
+            for k in range(8):
+                gain = 0.0
+                for b in range(6):
+                    gain += H_inv[a, b] * alone[k, b]
+                for c in range(SYSTEMATIC):
+                    D[a, c] += w * gain * B[k, c]
+    return P + D @ D.T
+
+
+@njit
+def accumulate(J: Array, H: Array) -> None:
+    """H = J^T J; J (8, 6) -> H (6, 6)."""
+    for a in range(6):
+        for b in range(a + 1):
+            v = 0.0
+            for k in range(8):
+                v += J[k, a] * J[k, b]
+            H[a, b] = v
+            H[b, a] = v

@@ -1,0 +1,209 @@
+"""Pixels to pose: the paper's stages in the paper's order, and the joint pose beside them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tagvo.ambiguity import AMBIGUITY, camera_candidates, chi2_gap
+from tagvo.camera import Camera
+from tagvo.config import TagvoConfig
+from tagvo.decide import Candidates, best_joint, measure_fused, measure_joint
+from tagvo.detect import Detector, make_detector
+from tagvo.detect.blur import corner_sigma, edge_spread
+from tagvo.detect.edges import cell_width
+from tagvo.detect.filters import filter_detections
+from tagvo.detect.protocol import gray_image
+from tagvo.errors import TagvoError
+from tagvo.fusion import WEIGHT, fuse
+from tagvo.geometry import Array, BoolArray, IntArray
+from tagvo.information import TagBatch, mean_covariance
+from tagvo.joint import JointPose
+from tagvo.observe import body_poses, observe, quad_area, tag_batch
+from tagvo.outliers import REJECT
+from tagvo.records import (
+    BodyPoses,
+    Detections,
+    Frame,
+    Observations,
+    PoseMeasurement,
+    PosePrior,
+    TagPoses,
+)
+from tagvo.selection import SELECT
+from tagvo.tagmap import TagMap
+from tagvo.tagpose import solve_tags
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedPose:
+    """The paper's pose: of the body (p_WI (3,), R_WI (3, 3)) and of the camera (p_WC, R_WC).
+
+    cov (6, 6) as in PoseMeasurement; weights (k,) of the tags that were kept.
+    """
+
+    p_WI: Array
+    R_WI: Array
+    p_WC: Array
+    R_WC: Array
+    cov: Array
+    weights: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """Every intermediate of one frame, for reports and tests; None where a stage was not reached.
+
+    counts: detections dropped, by cause; observations, tag_poses, candidates, bodies: of the n
+    tags on the map; selected (n,) by THS; kept (k,) rows of those left by OR; fused, joint: the
+    two poses; pose: the output; reason: why there is none.
+    """
+
+    t_ns: int
+    detections: Detections
+    counts: dict[str, int]
+    observations: Observations
+    tag_poses: TagPoses | None = None
+    candidates: Candidates | None = None
+    bodies: BodyPoses | None = None
+    selected: BoolArray | None = None
+    kept: IntArray | None = None
+    fused: FusedPose | None = None
+    joint: JointPose | None = None
+    pose: PoseMeasurement | None = None
+    reason: str | None = None
+
+
+def _no_lap(stage: str) -> None:
+    return None
+
+
+class TagVO:
+    """The tag visual odometry of one camera over one map; owns a detector and no state."""
+
+    def __init__(
+        self,
+        camera: Camera,
+        tag_map: TagMap,
+        config: TagvoConfig | None = None,
+        *,
+        detector: Detector | None = None,
+        lap: Callable[[str], None] = _no_lap,
+    ) -> None:
+        """detector: what finds tags in images; None: as the config says, made at the first image.
+
+        lap: called with the name of each stage as it ends; core code reads no clock.
+        """
+        self.camera = camera
+        self.tag_map = tag_map
+        self.config = config or TagvoConfig()
+        self._detector = detector
+        self._lap = lap
+
+    def __call__(self, frame: Frame, prior: PosePrior | None = None) -> PoseMeasurement | None:
+        """The pose of the camera at this frame, or None where no tag gives one."""
+        return self.trace(frame, prior).pose
+
+    def trace(self, frame: Frame, prior: PosePrior | None = None) -> Trace:
+        """The pose of the camera at this frame with every intermediate."""
+        cfg, lap = self.config, self._lap
+        found = self._detect(frame)
+        lap("detect")
+        det, rows, counts = filter_detections(
+            found, self.tag_map, cfg.filters, self.camera.resolution
+        )
+        obs, counts["not_undistorted"] = observe(det, rows, self.camera, cfg.noise.corner_px)
+        trace = Trace(frame.t_ns, found, counts, obs)
+        if not len(obs):
+            return replace(trace, reason="no_tags" if not len(found) else "no_usable_tags")
+        tags, area = tag_batch(obs, self.tag_map, self.camera, cfg.floor), quad_area(obs.corners_px)
+        tag_poses, candidates = self._tag_poses(obs, tags, area, prior)
+        bodies = body_poses(obs, *candidates.taken(), area, self.tag_map, self.camera)
+        lap("tagpose")
+        selected = SELECT[cfg.select](bodies)
+        inside, flags = REJECT[cfg.outliers](bodies.p_WI[selected], cfg.iqr)
+        kept = np.flatnonzero(selected)[inside]
+        lap("select")
+        fused, mean_flags = self._fuse(bodies, kept, tags)
+        lap("fuse")
+        trace = replace(trace, tag_poses=tag_poses, candidates=candidates, bodies=bodies,
+                        selected=selected, kept=kept, fused=fused)  # fmt: skip
+        if cfg.pose == "fused":
+            return self._finish_fused(trace, fused, candidates, {*flags, *mean_flags})
+        trace = self._finish_joint(trace, fused, candidates, tags, area, prior)
+        lap("joint")
+        return trace
+
+    def _detect(self, frame: Frame) -> Detections:
+        """Tags of a frame that brings its own, or found in its image with a sigma each corner."""
+        if frame.detections is not None:
+            return frame.detections
+        if frame.image is None:
+            raise TagvoError(f"frame {frame.t_ns}: neither an image nor detections")
+        cfg, family, bits = self.config, self.tag_map.family, self.tag_map.border_bits
+        if self._detector is None:
+            d = cfg.detector
+            self._detector = make_detector(
+                d.library, family, border_bits=bits, decimate=d.decimate,
+                max_hamming=d.max_hamming, threads=d.threads,
+            )  # fmt: skip
+        gray = gray_image(frame.image)
+        found = self._detector.detect(gray)
+        if not cfg.noise.blur or not len(found):
+            return found
+        cells = family.border_cells + 2 * (bits - 1)
+        spread, cell = (
+            edge_spread(gray, found.corners_px, cells),
+            cell_width(found.corners_px, cells),
+        )
+        return replace(found, sigma_px=corner_sigma(spread, cell, cfg.noise.corner_px))
+
+    def _tag_poses(
+        self, obs: Observations, tags: TagBatch, area: Array, prior: PosePrior | None
+    ) -> tuple[TagPoses, Candidates]:
+        """Both poses of every tag, and which of them each takes."""
+        poses = solve_tags(obs, tags.corners_T, self.tag_map.size[obs.row], self.config.refine)
+        R_WC, p_WC, depth = camera_candidates(poses.R_CT, poses.p_CT, tags.R_WT, tags.p_WT)
+        gap = chi2_gap(poses.rms_px, obs.sigma_px)
+        branch = AMBIGUITY[self.config.ambiguity](R_WC, p_WC, depth, gap, area, prior)
+        return poses, Candidates(R_WC, p_WC, depth, gap, branch)
+
+    def _fuse(
+        self, bodies: BodyPoses, kept: IntArray, tags: TagBatch
+    ) -> tuple[FusedPose, tuple[str, ...]]:
+        """MEF of the kept tags, back at the camera, with its covariance; and flags."""
+        cfg, camera = self.config, self.camera
+        weights = WEIGHT[cfg.weights](bodies.level[kept])
+        p_WI, R_WI, flags = fuse(bodies.p_WI[kept], bodies.R_WI[kept], weights, cfg.mean)
+        R_WC = R_WI @ camera.R_CI.T
+        p_WC = p_WI - R_WC @ camera.p_CI
+        cov = mean_covariance(R_WC, p_WC, tags, kept, weights / weights.sum())
+        return FusedPose(p_WI, R_WI, p_WC, R_WC, cov, weights), flags
+
+    def _finish_fused(
+        self, trace: Trace, fused: FusedPose, candidates: Candidates, flags: set[str]
+    ) -> Trace:
+        assert trace.kept is not None
+        pose = measure_fused(
+            trace.t_ns, (fused.R_WC, fused.p_WC), fused.cov,
+            trace.observations.tag_id, trace.kept, candidates, flags,
+        )  # fmt: skip
+        return replace(trace, pose=pose, reason=None if pose else "inconsistent")
+
+    def _finish_joint(
+        self,
+        trace: Trace,
+        fused: FusedPose,
+        candidates: Candidates,
+        tags: TagBatch,
+        area: Array,
+        prior: PosePrior | None,
+    ) -> Trace:
+        cfg = self.config
+        judge = prior if cfg.ambiguity == "prior" else None
+        joint, rival, gap = best_joint(
+            (fused.R_WC, fused.p_WC), tags, candidates, area, cfg.joint, judge
+        )
+        ids = trace.observations.tag_id
+        pose = measure_joint(trace.t_ns, joint, rival, gap, ids, cfg.joint.reject_weight)
+        return replace(trace, joint=joint, pose=pose, reason=None if pose else "all_rejected")
