@@ -6,10 +6,10 @@ know of xi is gathered in information form, then one six-row correction applies 
 """
 
 import numpy as np
-from numba import njit
-
 from tagvo import geometry as geo
+from tagvo.compiled import njit
 from tagvo.geometry import Array
+from tagvo.information import FloorConfig
 from tagvo.records import Observations
 from tagvo.tagmap import TagMap
 from vio import layout as at
@@ -26,13 +26,17 @@ from vio.eskf import (
 
 # one tag: x_n (4, 2) | noise of each corner xx, xy, yy (4, 3) | p_WX (4, 3) | d p_WX / d laying,
 # scaled by its sigma, as L (3, 3) for dp and axes (3, 3) sigma-scaled turn axes in W | p_WT (3) | id
-_X, _N, _W, _DP, _DT, _O, _ID = 0, 8, 20, 32, 41, 50, 53
+# | shift of the corners (8, 3) by one sigma of focal length and principal point
+_X, _N, _W, _DP, _DT, _O, _ID, _B = 0, 8, 20, 32, 41, 50, 53, 54
 _MIN_DEPTH = 1e-2  # [m] a corner nearer than this, or behind, cannot have been seen
 
 
-def pack(seen: Observations, tag_map: TagMap, max_tags: int) -> Array:
+def pack(
+    seen: Observations, tag_map: TagMap, centre_px: Array, floor: FloorConfig, max_tags: int
+) -> Array:
     """Rows for `correct_corners` of at most max_tags tags, the largest in the image first.
 
+    centre_px (2,): principal point; floor: the calibration's errors, common to all tags.
     -> (k, TAG_NUMBERS); tags whose corners or noise are not finite are left out.
     """
     cov = np.square(seen.sigma_px)[..., None, None] * np.eye(2)
@@ -47,13 +51,17 @@ def pack(seen: Observations, tag_map: TagMap, max_tags: int) -> Array:
     out[:, _DT:_O] = (R_WT * sigma[:, None, 3:]).reshape(-1, 9)
     out[:, _O:_ID] = tag_map.p_WT[seen.row]
     out[:, _ID] = seen.tag_id
+    shift = np.zeros((*seen.corners_px.shape, 3))
+    shift[..., 0] = (seen.corners_px - centre_px) * floor.focal_rel
+    shift[..., 0, 1] = shift[..., 1, 2] = floor.principal_px
+    out[:, _B:] = (J_inv @ shift).reshape(-1, 24)
     out = out[np.isfinite(out).all(axis=1)]
     a, b = out[:, 4:6] - out[:, 0:2], out[:, 6:8] - out[:, 2:4]
     area = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
     return out[np.argsort(-area, kind="stable")[:max_tags]]
 
 
-@njit(cache=True)
+@njit
 def _look(tag: Array, c: int, R_WC: Array, p_WC: Array, D: Array, r: Array) -> bool:
     """D (2, 3) := d projection / d p_WX of corner c, r (8,) its residual; False: not in view."""
     p = np.zeros(3)
@@ -70,7 +78,7 @@ def _look(tag: Array, c: int, R_WC: Array, p_WC: Array, D: Array, r: Array) -> b
     return True
 
 
-@njit(cache=True)
+@njit
 def _lay(tag: Array, c: int, D: Array, G: Array) -> None:
     """G (8, 6) rows of corner c := d projection / d laying error in units of its sigma."""
     arm = np.empty(3)
@@ -87,7 +95,7 @@ def _lay(tag: Array, c: int, D: Array, G: Array) -> None:
             G[row, 3 + j] = D[i, 0] * turn0 + D[i, 1] * turn1 + D[i, 2] * turn2
 
 
-@njit(cache=True)
+@njit
 def tag_residual(
     tag: Array, R_WC: Array, p_WC: Array, r: Array, J: Array, N: Array, inflation: float
 ) -> bool:
@@ -126,9 +134,11 @@ def tag_residual(
     return True
 
 
-@njit(cache=True)
-def _tag_distance(J: Array, N: Array, r: Array, P_xi: Array) -> float:
-    """Squared Mahalanobis length of one tag's residual under J P_xi J^T + N."""
+@njit
+def _tag_distance(
+    J: Array, N: Array, r: Array, P_xi: Array, B: Array, inflation: float
+) -> float:
+    """Squared Mahalanobis length of one tag's residual under J P_xi J^T + N + B B^T."""
     S, A, y = N.copy(), np.zeros((8, 6)), np.empty((8, 1))
     for i in range(8):
         y[i, 0] = r[i]
@@ -139,6 +149,8 @@ def _tag_distance(J: Array, N: Array, r: Array, P_xi: Array) -> float:
         for j in range(i + 1):
             for k in range(6):
                 S[i, j] += A[i, k] * J[j, k]
+            for k in range(3):
+                S[i, j] += inflation * B[i, k] * B[j, k]
     if not cholesky(S, 8):
         return np.inf
     solve_lower(S, 8, y)
@@ -148,22 +160,25 @@ def _tag_distance(J: Array, N: Array, r: Array, P_xi: Array) -> float:
     return d if d >= 0.0 else np.inf
 
 
-@njit(cache=True)
+@njit
 def gather(
-    x: Array, P_xi: Array, tags: Array, inflation: float, gate: float, A: Array, b: Array
+    x: Array, P_xi: Array, tags: Array, inflation: float, gate: float, A: Array, b: Array, X: Array
 ) -> tuple[int, float]:
-    """A (6, 6), b (6,) := information of xi in the accepted tags; their number, and mean NIS."""
+    """A (6, 6), b (6,), X (6, 3) := what the accepted tags know of xi and of the calibration's
+    errors, in information form; their number, and a mean NIS as of 6 dof."""
     R_WC, p_WC = np.empty((3, 3)), np.empty(3)
-    r, N, Jr = np.empty(8), np.empty((8, 8)), np.empty((8, 7))
+    r, N, Jr = np.empty(8), np.empty((8, 8)), np.empty((8, 10))
     J = np.empty((8, 6))
     camera_pose(x, R_WC, p_WC)
     A[:] = 0.0
     b[:] = 0.0
+    X[:] = 0.0
     used, total, seen = 0, 0.0, 0
     for t in range(tags.shape[0]):
         if not tag_residual(tags[t], R_WC, p_WC, r, J, N, inflation):
             continue
-        d = _tag_distance(J, N, r, P_xi)
+        B = tags[t, _B:].reshape((8, 3))
+        d = _tag_distance(J, N, r, P_xi, B, inflation)
         if d < np.inf:
             total += d
             seen += 1
@@ -171,6 +186,7 @@ def gather(
             continue
         Jr[:, :6] = J
         Jr[:, 6] = r
+        Jr[:, 7:] = B
         solve_lower(N, 8, Jr)
         used += 1
         for k in range(8):
@@ -178,10 +194,12 @@ def gather(
                 b[i] += Jr[k, i] * Jr[k, 6]
                 for j in range(6):
                     A[i, j] += Jr[k, i] * Jr[k, j]
+                for j in range(3):
+                    X[i, j] += Jr[k, i] * Jr[k, 7 + j]
     return used, (total / seen * 0.75 if seen > 0 else np.inf)
 
 
-@njit(cache=True)
+@njit
 def correct_corners(
     x: Array, P: Array, w: Array, tags: Array, inflation: float, gate: float
 ) -> tuple[int, float]:
@@ -191,11 +209,11 @@ def correct_corners(
     """
     n = P.shape[0]
     H, M, P_xi = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6))
-    A, b = np.empty((6, 6)), np.empty(6)
+    A, b, X = np.empty((6, 6)), np.empty(6), np.empty((6, 3))
     camera_jacobian(x, w, H)
     times_p(H, P, M)
     times_ht(M, H, P_xi)
-    used, nis = gather(x, P_xi, tags, inflation, gate, A, b)
+    used, nis = gather(x, P_xi, tags, inflation, gate, A, b, X)
     if used == 0:
         return at.REJECTED, nis
     for i in range(6):
@@ -204,6 +222,7 @@ def correct_corners(
         return at.SINGULAR, nis
     y = b.copy().reshape((6, 1))
     solve_lower(A, 6, y)  # y = C^T xi + white noise, where A = C C^T
+    solve_lower(A, 6, X)
     U, S, PU = np.zeros((6, n)), np.eye(6), np.zeros((6, 6))
     for i in range(6):
         for k in range(i, 6):
@@ -216,5 +235,7 @@ def correct_corners(
         for j in range(6):
             for k in range(j, 6):
                 S[i, j] += PU[i, k] * A[k, j]
+            for k in range(3):
+                S[i, j] += inflation * X[i, k] * X[j, k]
     good = cholesky(S, 6) and downdate(x, P, S, U, y[:, 0].copy())
     return (at.ACCEPTED if good else at.SINGULAR), nis

@@ -8,8 +8,7 @@ projection (`vio.corners`). The update is a Cholesky-whitened downdate: P stays 
 import math
 
 import numpy as np
-from numba import njit
-
+from tagvo.compiled import njit
 from tagvo.geometry import Array
 from vio import layout as at
 from vio.imu import exp_quat, matrix_into, turn_quat
@@ -17,7 +16,7 @@ from vio.imu import exp_quat, matrix_into, turn_quat
 GATE_6, GATE_3, GATE_8 = 22.457744, 16.266236, 26.124482  # chi-square 99.9 % of 6, 3 and 8 dof
 
 
-@njit(cache=True)
+@njit
 def cholesky(A: Array, m: int) -> bool:
     """Lower factor of the leading m x m block of A, in place; False where it is not positive."""
     for i in range(m):
@@ -34,7 +33,7 @@ def cholesky(A: Array, m: int) -> bool:
     return True
 
 
-@njit(cache=True)
+@njit
 def solve_lower(L: Array, m: int, B: Array) -> None:
     """B (m, k) := L^-1 B in place, L lower triangular."""
     for i in range(m):
@@ -47,7 +46,7 @@ def solve_lower(L: Array, m: int, B: Array) -> None:
             B[i, j] *= f
 
 
-@njit(cache=True)
+@njit
 def camera_pose(x: Array, R_WC: Array, p_WC: Array) -> None:
     """R_WC (3, 3), p_WC (3,) := the camera pose that the state predicts, its bias included."""
     q = np.empty(4)
@@ -64,7 +63,7 @@ def camera_pose(x: Array, R_WC: Array, p_WC: Array) -> None:
         p_WC[i] = x[at.X_P + i] + lever + x[at.X_BIAS + i]
 
 
-@njit(cache=True)
+@njit
 def _times_hat(out: Array, row: int, col: int, R: Array, v: Array, s: float) -> None:
     """out[row:row+3, col:col+3] := s R hat(v)."""
     for i in range(3):
@@ -73,7 +72,7 @@ def _times_hat(out: Array, row: int, col: int, R: Array, v: Array, s: float) -> 
         out[row + i, col + 2] = s * (R[i, 0] * v[1] - R[i, 1] * v[0])
 
 
-@njit(cache=True)
+@njit
 def camera_jacobian(x: Array, w: Array, H: Array) -> None:
     """H (6, n) := d xi / d error state; w (3,) gyro at that moment, bias included [rad/s]."""
     n = H.shape[1]
@@ -103,7 +102,7 @@ def camera_jacobian(x: Array, w: Array, H: Array) -> None:
             H[i, at.BIAS + i] = 1.0
 
 
-@njit(cache=True)
+@njit
 def times_p(H: Array, P: Array, M: Array) -> None:
     """M (m, n) := H P, skipping what is zero in H."""
     m, n = H.shape
@@ -117,7 +116,7 @@ def times_p(H: Array, P: Array, M: Array) -> None:
                     M[i, j] += h * P[c, j]
 
 
-@njit(cache=True)
+@njit
 def times_ht(M: Array, H: Array, S: Array) -> None:
     """S (m, m) := M H^T, skipping what is zero in H; exactly symmetric."""
     m, n = H.shape
@@ -135,7 +134,7 @@ def times_ht(M: Array, H: Array, S: Array) -> None:
             S[i, k] = S[k, i]
 
 
-@njit(cache=True)
+@njit
 def downdate(x: Array, P: Array, L: Array, M: Array, r: Array) -> bool:
     """Correct x and P, in place, by residual r (m,) with M = H P (m, n) and S = L L^T; both spoilt.
 
@@ -166,7 +165,7 @@ def downdate(x: Array, P: Array, L: Array, M: Array, r: Array) -> bool:
     return True
 
 
-@njit(cache=True)
+@njit
 def inject(x: Array, P: Array, dx: Array) -> None:
     """Add the error dx (30,) to the nominal state and reset it; P follows by the reset Jacobian."""
     for i in range(3):
@@ -185,7 +184,7 @@ def inject(x: Array, P: Array, dx: Array) -> None:
     _reset(P, at.EX, dx)
 
 
-@njit(cache=True)
+@njit
 def _reset(P: Array, s: int, dx: Array) -> None:
     """P := G P G^T with G = I - hat(dx[s:s+3]) / 2 on that block, identity elsewhere."""
     a, b, c = 0.5 * dx[s], 0.5 * dx[s + 1], 0.5 * dx[s + 2]
@@ -205,7 +204,7 @@ def _reset(P: Array, s: int, dx: Array) -> None:
             P[j, i] = P[i, j]
 
 
-@njit(cache=True)
+@njit
 def distance(S: Array, r: Array, first: int, m: int) -> float:
     """Squared Mahalanobis length of r[first:first+m] under that block of S; inf where singular."""
     L, y = np.empty((m, m)), np.empty((m, 1))
@@ -222,7 +221,7 @@ def distance(S: Array, r: Array, first: int, m: int) -> float:
     return d if d >= 0.0 else np.inf
 
 
-@njit(cache=True)
+@njit
 def pose_residual(x: Array, z: Array, r: Array) -> None:
     """r (6,) := measured minus predicted camera pose [m, rad]; z = p_WC, q_WC, ... ."""
     q = np.empty(4)
@@ -241,7 +240,7 @@ def pose_residual(x: Array, z: Array, r: Array) -> None:
         r[3 + i] = k * q[1 + i]
 
 
-@njit(cache=True)
+@njit
 def correct_pose(
     x: Array, P: Array, w: Array, z: Array, inflation: float, gate: float
 ) -> tuple[int, float]:
@@ -275,7 +274,7 @@ def correct_pose(
     return (verdict if good else at.SINGULAR), nis
 
 
-@njit(cache=True)
+@njit
 def correct_still(x: Array, P: Array, variance: float, gate: float) -> tuple[int, float]:
     """Correct by a velocity of zero, `variance` [m^2/s^2] an axis (on the ground only)."""
     M, S, r = P[at.V : at.V + 3].copy(), np.empty((3, 3)), np.empty(3)
@@ -287,5 +286,22 @@ def correct_still(x: Array, P: Array, variance: float, gate: float) -> tuple[int
     nis = distance(S, r, 0, 3)
     if not nis <= GATE_3 * gate:
         return at.REJECTED, nis
+    good = cholesky(S, 3) and downdate(x, P, S, M, r)
+    return (at.ACCEPTED if good else at.SINGULAR), nis
+
+
+@njit
+def correct_rig(x: Array, P: Array, z: Array) -> tuple[int, float]:
+    """Correct by the extrinsic rotation as calibrated, z (5,): q_IC and an axis's variance."""
+    M, S, r = P[at.EX : at.EX + 3].copy(), np.empty((3, 3)), np.empty(3)
+    q = np.empty(4)
+    q[0], q[1], q[2], q[3] = x[at.X_QIC], -x[at.X_QIC + 1], -x[at.X_QIC + 2], -x[at.X_QIC + 3]
+    turn_quat(q, 0, (z[0], z[1], z[2], z[3]))
+    for i in range(3):
+        r[i] = 2.0 * q[1 + i] if q[0] > 0.0 else -2.0 * q[1 + i]
+        for j in range(3):
+            S[i, j] = P[at.EX + i, at.EX + j]
+        S[i, i] += z[4]
+    nis = distance(S, r, 0, 3)
     good = cholesky(S, 3) and downdate(x, P, S, M, r)
     return (at.ACCEPTED if good else at.SINGULAR), nis

@@ -6,18 +6,20 @@ are touched. Source: Sola, Quaternion kinematics for the error-state Kalman filt
 """
 
 import math
+from pathlib import Path
 
 import numpy as np
-from numba import njit
-
+from tagvo.compiled import drop_stale_code, njit
 from tagvo.geometry import Array
 from vio import layout as at
+
+drop_stale_code([Path(__file__).parent])
 
 Quat = tuple[float, float, float, float]
 _SMALL = 1e-4  # half angle [rad] below which sin(h)/h and its kin come from their series
 
 
-@njit(cache=True)
+@njit
 def exp_quat(x: float, y: float, z: float) -> Quat:
     """Unit quaternion wxyz of a rotation vector [rad]."""
     h = 0.5 * math.sqrt(x * x + y * y + z * z)
@@ -25,7 +27,7 @@ def exp_quat(x: float, y: float, z: float) -> Quat:
     return math.cos(h), s * x, s * y, s * z
 
 
-@njit(cache=True)
+@njit
 def turn_quat(x: Array, i: int, d: Quat) -> None:
     """x[i:i+4] := x[i:i+4] * d, normalised; quaternions wxyz."""
     w, a, b, c = x[i], x[i + 1], x[i + 2], x[i + 3]
@@ -38,7 +40,7 @@ def turn_quat(x: Array, i: int, d: Quat) -> None:
     x[i], x[i + 1], x[i + 2], x[i + 3] = nw * s, na * s, nb * s, nc * s
 
 
-@njit(cache=True)
+@njit
 def matrix_into(R: Array, w: float, x: float, y: float, z: float) -> None:
     """R (3, 3) := rotation matrix of a unit quaternion."""
     R[0, 0], R[1, 1] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z)
@@ -48,7 +50,7 @@ def matrix_into(R: Array, w: float, x: float, y: float, z: float) -> None:
     R[1, 2], R[2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
 
 
-@njit(cache=True)
+@njit
 def right_jacobian_into(J: Array, x: float, y: float, z: float) -> None:
     """J (3, 3) := right Jacobian of the rotation vector (x, y, z)."""
     t2 = x * x + y * y + z * z
@@ -63,7 +65,7 @@ def right_jacobian_into(J: Array, x: float, y: float, z: float) -> None:
     J[1, 2], J[2, 1] = b * x + c * y * z, -b * x + c * y * z
 
 
-@njit(cache=True)
+@njit
 def _right_hat(out: Array, R: Array, v0: float, v1: float, v2: float, s: float) -> None:
     """out (3, 3) := s R hat(v)."""
     for i in range(3):
@@ -73,7 +75,7 @@ def _right_hat(out: Array, R: Array, v0: float, v1: float, v2: float, s: float) 
         out[i, 2] = s * (a * v1 - b * v0)
 
 
-@njit(cache=True)
+@njit
 def mechanise(x: Array, w: Array, f: Array, dt: float, g: float, R_mid: Array) -> None:
     """Nominal state x one interval on, in place; w [rad/s], f [m/s^2] interval means with bias.
 
@@ -94,7 +96,7 @@ def mechanise(x: Array, w: Array, f: Array, dt: float, g: float, R_mid: Array) -
         x[at.X_V + i] += dt * a
 
 
-@njit(cache=True)
+@njit
 def transition_into(
     B: Array, x: Array, w: Array, f: Array, dt: float, g: float, R_mid: Array
 ) -> None:
@@ -125,7 +127,7 @@ def transition_into(
             B[3 + i, 3 + j] = -dt * J[i, j]
 
 
-@njit(cache=True)
+@njit
 def _rows(T: Array, P: Array, B: Array, dt: float) -> None:
     """T (9, n) := the nine active rows of F P."""
     n = P.shape[0]
@@ -148,7 +150,7 @@ def _rows(T: Array, P: Array, B: Array, dt: float) -> None:
             T[3 + i, j] = P[3 + i, j] + d
 
 
-@njit(cache=True)
+@njit
 def spread(P: Array, B: Array, dt: float) -> None:
     """P (n, n) := F P F^T in place, F given by its active blocks B; P stays exactly symmetric."""
     n = P.shape[0]
@@ -174,7 +176,7 @@ def spread(P: Array, B: Array, dt: float) -> None:
             P[j, i] = P[i, j]
 
 
-@njit(cache=True)
+@njit
 def add_noise(P: Array, R_mid: Array, dt: float, q: Array, scale: Array) -> None:
     """P += process noise of one interval; q as in `layout`, scale (6,) widens single axes."""
     n = P.shape[0]
@@ -198,7 +200,7 @@ def add_noise(P: Array, R_mid: Array, dt: float, q: Array, scale: Array) -> None
         _relax_bias(P, dt, q)
 
 
-@njit(cache=True)
+@njit
 def _relax_bias(P: Array, dt: float, q: Array) -> None:
     keep = math.exp(-dt * q[at.N_BIAS_RATE])
     for i in range(at.BIAS, at.BIAS + 6):
@@ -209,7 +211,7 @@ def _relax_bias(P: Array, dt: float, q: Array) -> None:
         P[i, i] += (1.0 - keep * keep) * stationary
 
 
-@njit(cache=True)
+@njit
 def propagate(
     x: Array, P: Array, w: Array, f: Array, dt: float, q: Array, scale: Array
 ) -> None:

@@ -8,18 +8,17 @@ history. Times are integer nanoseconds of the IMU's clock, measurement stamps of
 from collections import Counter
 
 import numpy as np
-from numba import njit
-
+from tagvo.compiled import njit
 from tagvo.geometry import Array, IntArray
 from vio import layout as at
 from vio.corners import correct_corners
-from vio.eskf import correct_pose, correct_still
+from vio.eskf import correct_pose, correct_rig, correct_still
 from vio.imu import propagate
 
 _FAR = np.iinfo(np.int64).max
 
 
-@njit(cache=True)
+@njit
 def _apply(x: Array, P: Array, w: Array, z: Array, par: Array) -> tuple[int, float]:
     kind = int(z[0])
     if kind == at.M_POSE:
@@ -28,15 +27,21 @@ def _apply(x: Array, P: Array, w: Array, z: Array, par: Array) -> tuple[int, flo
         n = int(z[1])
         tags = z[2 : 2 + n * at.TAG_NUMBERS].reshape((n, at.TAG_NUMBERS))
         return correct_corners(x, P, w, tags, par[0], par[1])
-    return correct_still(x, P, z[2], par[1])
+    if kind == at.M_STILL:
+        return correct_still(x, P, z[2], par[1])
+    if kind == at.M_RIG:
+        return correct_rig(x, P, z[2:])
+    for i in range(at.EX, at.EX + 3):  # M_OPEN
+        P[i, i] += z[2]
+    return at.ACCEPTED, 0.0
 
 
-@njit(cache=True)
+@njit
 def _effective(stamp: int, x: Array) -> int:
     return stamp + int(round(x[at.X_TD] * 1e9))
 
 
-@njit(cache=True)
+@njit
 def walk(
     first: int, last: int, j: int, count: int, t: IntArray, imu: Array, X: Array, P: Array,
     m_t: IntArray, m_at: IntArray, m_state: IntArray, m_nis: Array, m_z: Array, q: Array, par: Array,
@@ -70,7 +75,7 @@ def walk(
         j += 1
 
 
-@njit(cache=True)
+@njit
 def snapshot_before(t: IntArray, X: Array, last: int, stamp: int) -> int:
     """The last snapshot that cannot hold a measurement of this stamp; -1: none is left."""
     for k in range(last + 1):
