@@ -12,7 +12,7 @@ from tagvo import geometry as geo
 from tagvo.errors import MapError, choose_one_of
 from tagvo.families import Family, family_named
 from tagvo.geometry import Array, IntArray
-from tagvo.textfile import finite_numbers, read_yaml, write_atomic
+from tagvo.textfile import finite_numbers, is_number, read_yaml, write_atomic
 
 SIZE_KINDS = ("border", "total")
 _SIGMA_KEYS = ("xy", "z", "yaw_deg", "tilt_deg")
