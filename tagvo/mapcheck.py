@@ -5,7 +5,6 @@ Works on the raw mapping of the file, so that a map too broken to load is still 
 
 from collections import defaultdict
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, Literal
@@ -17,6 +16,7 @@ from tagvo.errors import MapError, choose_one_of
 from tagvo.families import FAMILIES, Family, family_named
 from tagvo.mapoverlap import Squares, pairs_in_one_plane, penetration
 from tagvo.tagmap import SIZE_KINDS, TagMap, map_from_dict, numbers, unit_quaternion
+from tagvo.textfile import is_number
 
 _HEADER = ("family", "size_kind", "sigma", "gravity", "border_bits", "tags")
 _TAG_KEYS = ("id", "size", "p", "q", "sigma")
@@ -66,7 +66,8 @@ def check_map_data(data: dict[str, Any], where: str) -> list[Finding]:
         found += _what_load_says(data, where)
     sane = _sane_tags(entries)
     if sane and family is not None:
-        found += _overlaps(_squares(data, sane, family), where)
+        with np.errstate(over="ignore", invalid="ignore"):  # coordinates may be absurd
+            found += _overlaps(_squares(data, sane, family), where)
         found += _mixed_up_sizes(data, sane, family, where)
     return sorted(found, key=lambda f: f.severity)  # "error" < "warning"; the sort is stable
 
@@ -141,12 +142,8 @@ def _position(value: object, where: str) -> list[float]:
 
 
 def _size(tag: dict[str, Any]) -> float | None:
-    value = tag.get("size")
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    with suppress(OverflowError):  # YAML's integers have no bound
-        return float(value) if np.isfinite(float(value)) and value > 0 else None
-    return None
+    size = tag.get("size")
+    return float(size) if is_number(size) and size > 0.0 else None
 
 
 def _duplicates(entries: list[Any], where: str) -> Iterator[Finding]:
@@ -183,17 +180,22 @@ def _ratio(data: dict[str, Any], family: Family) -> float:
 def _squares(data: dict[str, Any], tags: list[dict[str, Any]], family: Family) -> Squares:
     size = np.array([float(tag["size"]) for tag in tags])
     border = size / _ratio(data, family) if data.get("size_kind") == SIZE_KINDS[1] else size
-    sigma = data.get("sigma")
-    xy, z = (sigma.get(k) if isinstance(sigma, dict) else None for k in ("xy", "z"))
+    xy, z = (_laying_sigma(data, key, default) for key, default in (("xy", 0.002), ("z", 0.001)))
     return Squares(
         np.array([int(tag["id"]) for tag in tags]),
         np.array([tag["p"] for tag in tags], dtype=float),
         geo.matrix_from_quat(np.array([tag["q"] for tag in tags], dtype=float)),
         border,
         border * _ratio(data, family),
-        float(xy) if isinstance(xy, int | float) else 0.002,
-        float(z) if isinstance(z, int | float) else 0.001,
+        xy,
+        z,
     )
+
+
+def _laying_sigma(data: dict[str, Any], key: str, default: float) -> float:
+    sigma = data.get("sigma")
+    value = sigma.get(key, default) if isinstance(sigma, dict) else default
+    return abs(float(value)) if is_number(value) else default
 
 
 def _overlaps(squares: Squares, where: str) -> Iterator[Finding]:

@@ -26,7 +26,7 @@ def class_colours(count: int) -> list[str]:
     from matplotlib import colormaps
     from matplotlib.colors import to_hex
 
-    return [to_hex(colormaps["viridis"](x)) for x in np.linspace(0.25, 1.0, count)]
+    return [to_hex(colormaps["viridis"](x)) for x in np.linspace(0.4, 1.0, count)]
 
 
 def limits(tag_map: TagMap, rows: IntArray, view: View) -> tuple[Array, Array]:
@@ -104,9 +104,10 @@ def _floor_grid(ax: "Axes", tag_map: TagMap, view: View) -> None:
         ax.plot(line[:, 0], line[:, 1], color=GRID, linewidth=0.8, zorder=0)
         x, y = line[np.argmin(line[:, 1])]
         unit = f" m ({'xy'[axis]})" if value == last[axis] else ""
-        style: dict[str, Any] = {"ha": "center", "va": "top", "fontsize": 8, "color": EDGE}
+        side, shift = (("right", -2), ("left", 2))[axis]  # so that the two do not meet at a corner
+        style: dict[str, Any] = {"ha": side, "va": "top", "fontsize": 8, "color": EDGE}
         text = f"{value + 0.0:.10g}{unit}"
-        ax.annotate(text, (x, y), (0, -4), textcoords="offset points", **style)
+        ax.annotate(text, (x, y), (shift, -4), textcoords="offset points", **style)
 
 
 def _squares(ax: "Axes", tag_map: TagMap, rows: IntArray, view: View) -> None:
@@ -160,7 +161,7 @@ def _write_ids(
             shade = INK if front[i] else "#AAAAAA"
             style: dict[str, Any] = {"ha": "center", "va": "center", "color": shade}
             ax.text(
-                centre[i, 0], centre[i, 1], text, fontsize=font, zorder=5, clip_on=True, **style
+                centre[i, 0], centre[i, 1], text, fontsize=font, zorder=10, clip_on=True, **style
             )
 
 

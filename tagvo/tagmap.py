@@ -39,7 +39,7 @@ class TagMap:
 
     tag_id (n,); size (n,) border side [m], whatever `size_kind` the file uses; p_WT (n, 3) [m];
     R_WT (n, 3, 3); sigma (n, 4): laying standard deviations xy [m], z [m], yaw [rad], tilt [rad]
-    in T; own_sigma (n,): which tags do not take the map's default.
+    in T; sigma_default: those of tags that the file gives no own.
     """
 
     family: Family
@@ -63,7 +63,8 @@ class TagMap:
 
     def rows(self, tag_ids: IntArray) -> IntArray:
         """Row of each id in the map, -1 where it is not on it; (k,) -> (k,)."""
-        return np.array([self._row.get(int(t), -1) for t in tag_ids], dtype=np.int64)
+        find = self._row.get
+        return np.array([find(t, -1) for t in np.asarray(tag_ids).tolist()], dtype=np.int64)
 
     @cached_property
     def total_size(self) -> Array:

@@ -1,18 +1,21 @@
-"""Which detections may be trusted: pure masks, and one function that applies and counts them."""
+"""Which detections may be trusted: one test a cause, and a function that applies and counts."""
 
-from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
 from pydantic import BaseModel, Field
 
-from tagvo.detect.edges import side_vectors, signed_area
+from tagvo.compiled import njit
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import Detections
 from tagvo.tagmap import TagMap
 
 Resolution: TypeAlias = tuple[int, int]
 _MIN_SINE = 0.05  # below 3 deg between neighbouring sides a quad is a line for all purposes
+CAUSES = (
+    "not_on_map", "hamming", "low_margin", "not_finite", "not_convex", "too_small", "at_edge",
+    "duplicate",
+)  # fmt: skip
 
 
 class FilterConfig(BaseModel, frozen=True, extra="forbid"):
@@ -32,26 +35,67 @@ class FilterConfig(BaseModel, frozen=True, extra="forbid"):
     duplicate_px: float = Field(2.0, ge=0.0)
 
 
-def finite(corners_px: Array) -> BoolArray:
-    """True where all corners are finite numbers; (n, 4, 2) -> (n,)."""
-    return np.asarray(np.isfinite(corners_px).all(axis=(1, 2)))
-
-
-def convex(corners_px: Array) -> BoolArray:
-    """True where the corners run clockwise in the image around a convex quad; (n, 4, 2) -> (n,).
+@njit
+def _runs_clockwise(quad: Array) -> bool:
+    """Whether corners (4, 2) run clockwise in the image (y down) around a convex quad.
 
     So do those of every tag seen from its printed face.
     """
-    side, length, _ = side_vectors(corners_px)
-    before, length_before = side[:, [3, 0, 1, 2]], length[:, [3, 0, 1, 2]]
-    turn = before[..., 0] * side[..., 1] - before[..., 1] * side[..., 0]
-    sine = turn / (length * length_before)
-    return np.asarray((sine > _MIN_SINE).all(axis=1) & (signed_area(corners_px) > 0.0))
+    for k in range(4):
+        ax, ay = quad[k, 0] - quad[k - 1, 0], quad[k, 1] - quad[k - 1, 1]
+        bx, by = quad[(k + 1) % 4, 0] - quad[k, 0], quad[(k + 1) % 4, 1] - quad[k, 1]
+        lengths = np.sqrt((ax * ax + ay * ay) * (bx * bx + by * by))
+        if not ax * by - ay * bx > _MIN_SINE * max(lengths, 1e-12):
+            return False
+    d1x, d1y = quad[2, 0] - quad[0, 0], quad[2, 1] - quad[0, 1]
+    d2x, d2y = quad[3, 0] - quad[1, 0], quad[3, 1] - quad[1, 1]
+    return d1x * d2y - d1y * d2x > 0.0
 
 
-def large_enough(corners_px: Array, min_side_px: float) -> BoolArray:
-    """True where no side is shorter than the limit [px]; (n, 4, 2) -> (n,)."""
-    return np.asarray(side_vectors(corners_px)[1].min(axis=1, initial=np.inf) >= min_side_px)
+@njit
+def _shortest_side(quad: Array) -> float:
+    shortest = np.inf
+    for k in range(4):
+        x, y = quad[k, 0] - quad[k - 1, 0], quad[k, 1] - quad[k - 1, 1]
+        shortest = min(shortest, np.sqrt(x * x + y * y))
+    return shortest
+
+
+@njit
+def _within(quad: Array, width: float, height: float, edge_px: float) -> bool:
+    low, right, bottom = edge_px - 0.5, width - 0.5 - edge_px, height - 0.5 - edge_px
+    for k in range(4):
+        if not (low <= quad[k, 0] <= right and low <= quad[k, 1] <= bottom):
+            return False
+    return True
+
+
+@njit
+def _first_causes(
+    rows: IntArray, corners_px: Array, hamming: IntArray, margin: Array, limits: Array
+) -> IntArray:
+    """Index in CAUSES of the first filter that each of n tags falls to, -1: none; (n,).
+
+    limits: max_hamming, min_margin, min_side_px, width, height, edge_px.
+    """
+    cause = np.full(len(rows), -1, dtype=np.int64)
+    for i in range(len(rows)):
+        quad = corners_px[i]
+        if rows[i] < 0:
+            cause[i] = 0
+        elif hamming[i] > limits[0]:
+            cause[i] = 1
+        elif margin[i] < limits[1]:  # NaN: unknown, passes
+            cause[i] = 2
+        elif not np.isfinite(quad).all():
+            cause[i] = 3
+        elif not _runs_clockwise(quad):
+            cause[i] = 4
+        elif _shortest_side(quad) < limits[2]:
+            cause[i] = 5
+        elif not _within(quad, limits[3], limits[4], limits[5]):
+            cause[i] = 6
+    return cause
 
 
 def away_from_edge(corners_px: Array, resolution: Resolution, edge_px: float) -> BoolArray:
@@ -59,8 +103,7 @@ def away_from_edge(corners_px: Array, resolution: Resolution, edge_px: float) ->
 
     The rim runs half a pixel outside the centres of the outermost pixels.
     """
-    low, high = edge_px - 0.5, np.array(resolution) - 0.5 - edge_px
-    return np.asarray(((corners_px >= low) & (corners_px <= high)).all(axis=(1, 2)))
+    return np.array([_within(quad, *resolution, edge_px) for quad in corners_px], dtype=bool)
 
 
 def unambiguous(det: Detections, duplicate_px: float) -> BoolArray:
@@ -71,6 +114,8 @@ def unambiguous(det: Detections, duplicate_px: float) -> BoolArray:
     is laid twice, and nothing here tells which: a wrong tag costs more than a missing one.
     """
     keep = np.ones(len(det), dtype=bool)
+    if len(set(det.tag_id.tolist())) == len(det):
+        return keep
     ids, counts = np.unique(det.tag_id, return_counts=True)
     for tag_id in ids[counts > 1]:
         rows = np.flatnonzero(det.tag_id == tag_id)
@@ -87,23 +132,22 @@ def filter_detections(
 ) -> tuple[Detections, IntArray, dict[str, int]]:
     """Detections that pass every filter, their rows in the map, and how many fell to each cause.
 
-    resolution: width, height [px]. A detection counts once, under the first cause met; the causes
-    are not_on_map, hamming, low_margin, not_finite, not_convex, too_small, at_edge, duplicate.
+    resolution: width, height [px]. A detection counts once, under the first of CAUSES met.
     """
     rows = tag_map.rows(det.tag_id)
-    filters: tuple[tuple[str, Callable[[Detections], BoolArray]], ...] = (
-        ("hamming", lambda d: d.hamming <= limits.max_hamming),
-        ("low_margin", lambda d: ~(d.margin < limits.min_margin)),  # NaN: unknown, passes
-        ("not_finite", lambda d: finite(d.corners_px)),
-        ("not_convex", lambda d: convex(d.corners_px)),
-        ("too_small", lambda d: large_enough(d.corners_px, limits.min_side_px)),
-        ("at_edge", lambda d: away_from_edge(d.corners_px, resolution, limits.edge_px)),
-        ("duplicate", lambda d: unambiguous(d, limits.duplicate_px)),
+    bounds = np.array(
+        [limits.max_hamming, limits.min_margin, limits.min_side_px, *resolution, limits.edge_px],
+        dtype=float,
     )
-    counts = {"not_on_map": int((rows < 0).sum())}
-    left = np.flatnonzero(rows >= 0)
-    for cause, passes in filters:
-        kept = left[passes(det[left])]
-        counts[cause] = len(left) - len(kept)
-        left = kept
-    return det[left], rows[left], counts
+    cause = _first_causes(rows, det.corners_px, det.hamming, det.margin, bounds)
+    counts = dict.fromkeys(CAUSES, 0)
+    left = np.flatnonzero(cause < 0)
+    if len(left) < len(det):
+        for k in cause[cause >= 0].tolist():
+            counts[CAUSES[k]] += 1
+        det, rows = det[left], rows[left]
+    keep = unambiguous(det, limits.duplicate_px)
+    counts["duplicate"] = len(keep) - int(np.count_nonzero(keep))
+    if counts["duplicate"]:
+        det, rows = det[keep], rows[keep]
+    return det, rows, counts

@@ -96,7 +96,7 @@ def _parse(text: str, where: str) -> Content:
     if text.lstrip().startswith("{"):
         try:
             value = json.loads(text)
-        except json.JSONDecodeError:
+        except (ValueError, RecursionError):
             value = None  # YAML's flow style looks alike; its parser names the fault
     if value is None:
         value = parse_yaml(text, where, MapError)

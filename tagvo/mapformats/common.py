@@ -6,6 +6,7 @@ from typing import Any, TypeAlias
 
 from tagvo.errors import MapError
 from tagvo.tagmap import TagMap, map_from_dict, map_to_dict
+from tagvo.textfile import is_number
 
 Content: TypeAlias = dict[str, Any] | list[list[str]]  # a mapping (YAML, JSON) or rows of words
 
@@ -147,7 +148,8 @@ def table_rows(content: Content, columns: Sequence[str], where: str) -> list[lis
             row = [float(word) for word in words]
         except ValueError:
             row = []
-        if len(row) < len(columns) or row[0] != int(row[0]):
+        sound = len(row) >= len(columns) and all(map(is_number, row))
+        if not sound or not row[0].is_integer():
             text = " ".join(words)
             raise MapError(f"{where} row {i + 1}: {text!r}; `{' '.join(columns)}` is needed")
         out.append(row)

@@ -22,6 +22,7 @@ from tagvo.mapformats.common import (
     need_mapping,
 )
 from tagvo.tagmap import TagMap
+from tagvo.textfile import finite_number
 
 TITLE = "Kalibr aprilgrid target"
 _FAMILY, _BITS = "tag36h11", 2
@@ -63,11 +64,10 @@ def _count(data: dict[str, object], key: str, where: str) -> int:
 
 
 def _positive(data: dict[str, object], key: str, where: str) -> float:
-    value = field(data, [key], where)
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not number or not 0.0 < value < 1e3:
-        raise MapError(f"{where} {key}: {value!r}; a positive number is needed")
-    return float(value)
+    value = finite_number(field(data, [key], where), f"{where} {key}", MapError)
+    if not 0.0 < value < 1e3:
+        raise MapError(f"{where} {key}: {value:g}; a positive number below 1000 is needed")
+    return value
 
 
 def _write(tag_map: TagMap) -> Exported:

@@ -29,6 +29,7 @@ from tagvo.mapformats.common import (
 )
 from tagvo.mapformats.wpilib import R_FT
 from tagvo.tagmap import TagMap, numbers
+from tagvo.textfile import finite_number
 
 TITLE = "Limelight .fmap"
 _BY_CODE = {code.group(): name for name in FAMILIES if (code := re.search(r"\d+h\d+$", name))}
@@ -83,9 +84,7 @@ def _tag(tag: dict[str, Any], where: str) -> dict[str, Any]:
     off = float(np.abs(R_WF @ R_WF.T - np.eye(3)).max())
     if off > 2e-3 or np.linalg.det(R_WF) < 0 or not np.allclose(T_WF[3], [0, 0, 0, 1]):
         raise MapError(f"{where} transform: no rigid transform, row-major (off by {off:.2g})")
-    millimetres = field(tag, ["size"], where)
-    if isinstance(millimetres, bool) or not isinstance(millimetres, int | float):
-        raise MapError(f"{where} size: {millimetres!r}; a number of millimetres is needed")
+    millimetres = finite_number(field(tag, ["size"], where), f"{where} size", MapError)
     return {
         "id": tag.get("id"),
         "size": millimetres / 1000.0,

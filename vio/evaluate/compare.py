@@ -88,7 +88,7 @@ def comparison(
     align: str = "none",
     t_start_ns: int | None = None,
     t_end_ns: int | None = None,
-    frames: Mapping[str, int],
+    frames: Mapping[str, int | None],
     timing_ms: Mapping[str, Mapping[str, float]],
     axis_W: tuple[float, float, float] = Z_AXIS,
 ) -> dict[str, Any]:

@@ -97,6 +97,12 @@ class FlightLog:
         return 0 if self.imu is None else len(self.imu)
 
     @property
+    def end_ns(self) -> int:
+        """The last stamp that any sensor of the log has."""
+        last = [int(self.frames.t_ns.max())] if len(self.frames) else [self.t0_ns]
+        return max([*last, int(self.imu.t_ns.max())] if self.imu is not None else last)
+
+    @property
     def counters(self) -> dict[str, int]:
         """Faults met so far, by cause; grows while `events` reads images."""
         return self.tally.counters

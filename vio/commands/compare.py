@@ -1,0 +1,87 @@
+"""`tagvio compare`: one log through several estimators, each against truth."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import typer
+
+from vio.commands import options as opt
+
+if TYPE_CHECKING:
+    from vio.commands.replay_log import Replayed
+
+Align = Literal["none", "yaw", "se3"]
+
+
+def command(
+    log: opt.LogFolder,
+    out: opt.OutFolder,
+    config: opt.ConfigFile = None,
+    assignments: opt.Assignments = None,
+    imu: opt.ImuName = "imu0",
+    detections: opt.UseDetections = False,
+    vo_only: bool = typer.Option(False, "--vo-only", help="Tag visual odometry alone."),
+    only_tags: opt.OnlyTags = None,
+    every: opt.Every = 1,
+    blackout: opt.Blackout = None,
+    latency: opt.Latency = 0.0,
+    skip: float = typer.Option(0.0, "--skip", metavar="S", min=0.0, help="Judge from S s on."),
+    align: Align = typer.Option("none", "--align", help="Align to truth before judging."),
+) -> None:
+    """Compare estimators on one log against its truth.
+
+    Writes DIR/comparison.json, DIR/report.html (opens offline) and a .tum trajectory each, and
+    prints a table: `capture` compares a pose with truth at its own time, `now` compares what was
+    known at each moment of truth.
+    """
+    choice = opt.Choice(
+        log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
+        blackout, latency,
+    )  # fmt: skip
+    from vio.commands.replay_log import replay_log, vo_arms
+    from vio.errors import EvaluationError
+
+    done = replay_log(choice, lambda flight, cfg: vo_arms(flight, cfg))
+    if done.log.truth is None:
+        raise EvaluationError(
+            f"{log}: no truth to compare with;"
+            " mav0/state_groundtruth_estimate0/data.csv is needed (`tagvio run` needs none)"
+        )
+    _judge(done, out, skip, align)
+    if done.result.interrupted:
+        raise typer.Exit(130)
+
+
+def _judge(done: "Replayed", out: Path, skip: float, align: Align) -> None:
+    import numpy as np
+    from rich.console import Console
+
+    from vio.commands.replay_log import frame_counts, run_summary
+    from vio.evaluate.compare import comparison, table, write_json
+    from vio.evaluate.records import Window
+    from vio.evaluate.report import Extra, write_report
+    from vio.run import trajectory, tum_rows
+    from vio.sinks.tum import write_tum
+
+    log, result = done.log, done.result
+    assert log.truth is not None
+    trajectories = [trajectory(name, outputs) for name, outputs in result.outputs.items()]
+    start, end = log.t0_ns + round(skip * 1e9), log.end_ns
+    content = comparison(
+        trajectories, log.truth, align=align, t_start_ns=start, t_end_ns=end,
+        frames=frame_counts(result), timing_ms=done.timing_ms,
+    )  # fmt: skip
+    for one in trajectories:
+        write_tum(out / f"{one.name}.tum", *tum_rows(one))
+    write_json(out / "comparison.json", content)
+    write_json(out / "run.json", run_summary(done))
+    extra = Extra(
+        f"tagvio compare {log.path.name}", Window(start, end), t_zero_ns=log.t0_ns,
+        tags_t_ns=np.array(result.tags_t_ns, dtype=np.int64),
+        tags_count=np.array(result.tags_count, dtype=np.int64), notes=tuple(log.warnings),
+    )  # fmt: skip
+    write_report(out / "report.html", content, trajectories, log.truth, log.tag_map, extra)
+    for text in log.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    Console().print(table(content))
+    typer.echo(f"{out / 'comparison.json'}, {out / 'report.html'}")

@@ -1,0 +1,117 @@
+"""The options that `run` and `compare` share, and how they open a log."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from vio.config import Config
+    from vio.sources.log import FlightLog
+
+LogFolder = Annotated[
+    Path, typer.Argument(metavar="LOG", help="A flight log (a folder).", show_default=False)
+]
+OutFolder = Annotated[
+    Path, typer.Option("--out", metavar="DIR", help="Where the results go; made where missing.")
+]
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="Configuration; default: LOG/config.yaml."),
+]
+Assignments = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="One setting, as tagvo.pose=fused; repeat."),
+]
+ImuName = Annotated[
+    str, typer.Option("--imu", metavar="NAME", help="Which IMU of the log: mav0/NAME.")
+]
+UseDetections = Annotated[
+    bool, typer.Option("--detections", help="Take detections.csv even where there are images.")
+]
+OnlyTags = Annotated[
+    str | None, typer.Option("--only-tags", metavar="1,2,..", help="As if only these tags lay.")
+]
+Every = Annotated[int, typer.Option("--every", metavar="N", help="Use every N-th frame only.")]
+Blackout = Annotated[
+    str | None,
+    typer.Option(
+        "--blackout", metavar="PERIOD,LENGTH", help="No frames while (t mod PERIOD) < LENGTH [s]."
+    ),
+]
+Latency = Annotated[
+    float, typer.Option("--latency", metavar="S", help="Every frame is known S seconds late.")
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """The options of one call, as typed."""
+
+    log: Path
+    out: Path
+    config: Path | None
+    assignments: tuple[str, ...]
+    imu: str
+    detections: bool
+    only_tags: str | None
+    every: int
+    blackout: str | None
+    latency: float
+
+
+def open_all(choice: Choice) -> "tuple[FlightLog, Config]":
+    """The log and the configuration of a call; wrong texts of options are wrong usage."""
+    from vio.config import load_config
+    from vio.sources.log import FlightLog
+
+    log = FlightLog.open(
+        choice.log,
+        imu=choice.imu,
+        use_detections=choice.detections,
+        only_tags=_ids(choice.only_tags),
+        every=choice.every,
+        blackout=_pair(choice.blackout),
+        latency_s=choice.latency,
+    )
+    return log, load_config(choice.config or log.config_path, choice.assignments)
+
+
+def _ids(text: str | None) -> list[int] | None:
+    if text is None:
+        return None
+    try:
+        return [int(word) for word in text.split(",") if word.strip()]
+    except ValueError:
+        raise typer.BadParameter(f"{text!r}; tag ids with commas are needed, as 14,15,20") from None
+
+
+def _pair(text: str | None) -> tuple[float, float] | None:
+    if text is None:
+        return None
+    try:
+        period, length = (float(word) for word in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{text!r}; PERIOD,LENGTH in seconds is needed, as 3,1") from None
+    return period, length
+
+
+@contextmanager
+def progress(total: int, what: str) -> "Iterator[Callable[[], None]]":
+    """A progress bar on stderr where a person watches; yields what to call after each step."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda: None
+        return
+    columns = ("[progress.description]{task.description}", BarColumn(), MofNCompleteColumn())
+    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda: bar.advance(task)

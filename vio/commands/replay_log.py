@@ -1,0 +1,75 @@
+"""What `run` and `compare` do alike: a log through tagvo and its arms, and the files they leave."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from tagvo.pipeline import TagVO
+from vio.arms import Estimator, VoArm, VoFirArm
+from vio.commands.options import Choice, open_all, progress
+from vio.config import Config
+from vio.run import RunResult, run
+from vio.sources.log import FlightLog
+from vio.stopwatch import Stopwatch
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """A log that was run: with what configuration, what came out, how long the stages took."""
+
+    log: FlightLog
+    config: Config
+    result: RunResult
+    timing_ms: dict[str, dict[str, float]]
+
+
+def replay_log(
+    choice: Choice, arms: "Callable[[FlightLog, Config], Sequence[Estimator]]"
+) -> Replayed:
+    """Run a log as the options say through the arms made for it."""
+    log, config = open_all(choice)
+    watch = Stopwatch()
+    vo = TagVO(log.camera, log.tag_map, config.tagvo, lap=watch.lap)
+    with progress(log.frame_count, "frames") as step:
+        result = run(log.events(), vo, arms(log, config), watch, step)
+    return Replayed(log, config, result, watch.summary())
+
+
+def vo_arms(log: FlightLog, config: Config) -> list[Estimator]:
+    """`vo` and `vo_fir`; the FIR is the configured one, the paper's where none is."""
+    taps = "paper" if config.tagvo.fir == "none" else config.tagvo.fir
+    return [VoArm(log.camera), VoFirArm(log.camera, taps, config.tagvo.fir_gap_s)]
+
+
+def frame_counts(result: RunResult) -> dict[str, int | None]:
+    """The `frames` of run.json and comparison.json; None: no filter ran."""
+    return {
+        "total": result.frames,
+        "with_pose": result.with_pose,
+        "fused": None,
+        "rejected": None,
+    }
+
+
+def run_summary(done: Replayed) -> dict[str, Any]:
+    """The content of `run.json`."""
+    result = done.result
+    return {
+        "frames": frame_counts(result),
+        "imu": {"total": result.imu},
+        "rejected": dict(sorted(result.reasons.items())),
+        "states": {},
+        "timing_ms": done.timing_ms,
+        "counters": dict(sorted((result.counters + done_faults(done)).items())),
+        "warnings": done.log.warnings,
+        "interrupted": result.interrupted,
+    }
+
+
+def done_faults(done: Replayed) -> Any:
+    """The faults that the log reader met, by cause."""
+    from collections import Counter
+
+    return Counter(done.log.counters)

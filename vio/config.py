@@ -1,0 +1,71 @@
+"""The whole configuration: one frozen model from a file and `--set`, errors that say where."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, field_validator
+
+from tagvo.config import TagvoConfig, validated
+from tagvo.errors import ConfigError
+from tagvo.textfile import parse_yaml, read_yaml
+
+_IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+Row = tuple[float, float, float, float]
+
+
+class VehicleConfig(BaseModel, frozen=True, extra="forbid"):
+    """T_BI: the IMU in the vehicle's body (FLU), a rigid 4x4; identity where I is the body."""
+
+    T_BI: tuple[Row, Row, Row, Row] = _IDENTITY
+
+    @field_validator("T_BI")
+    @classmethod
+    def _rigid(cls, value: tuple[Row, Row, Row, Row]) -> tuple[Row, Row, Row, Row]:
+        import numpy as np
+
+        T = np.array(value)
+        R = T[:3, :3]
+        if not np.allclose(R.T @ R, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0.0:
+            raise ValueError("the upper left 3x3 must be a rotation")
+        if not np.allclose(T[3], _IDENTITY[3]):
+            raise ValueError("the last row must be 0 0 0 1")
+        return value
+
+
+class Config(BaseModel, frozen=True, extra="forbid"):
+    """Everything that a configuration file may hold; a missing key has its default."""
+
+    tagvo: TagvoConfig = TagvoConfig()
+    vehicle: VehicleConfig = VehicleConfig()
+
+
+def load_config(path: Path | None, assignments: Sequence[str] = ()) -> Config:
+    """Configuration of a file (None: the defaults) with `a.b=c` assignments on top.
+
+    Raises ConfigError for a file that cannot be read, an unknown key, or a value out of range.
+    """
+    data: dict[str, Any] = {} if path is None else read_yaml(path, ConfigError)
+    for text in assignments:
+        _assign(data, text)
+    return validated(Config, data, _where(path, assignments))
+
+
+def _where(path: Path | None, assignments: Sequence[str]) -> str:
+    sources = [str(path)] if path is not None else []
+    sources += [f"--set {text}" for text in assignments]
+    return ", ".join(sources) or "configuration"
+
+
+def _assign(data: dict[str, Any], text: str) -> None:
+    """Put the YAML value of `a.b=value` at its place in nested mappings."""
+    keys, equals, value = text.partition("=")
+    path = [key.strip() for key in keys.split(".")]
+    if not equals or not all(path):
+        raise ConfigError(f"--set {text}: KEY.KEY=VALUE is needed, such as tagvo.pose=fused")
+    here = data
+    for key in path[:-1]:
+        inner = here.get(key)
+        here[key] = inner = dict(inner) if isinstance(inner, dict) else {}
+        here = inner
+    here[path[-1]] = parse_yaml(value, f"--set {text}", ConfigError)

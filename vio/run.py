@@ -1,0 +1,110 @@
+"""The one loop: events of a source through tagvo and through estimators; only they differ."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tagvo import geometry as geo
+from tagvo.pipeline import TagVO, Trace
+from tagvo.records import Frame
+from vio.arms import Estimator, Output
+from vio.evaluate.records import Trajectory
+from vio.records import ImuSample
+from vio.stopwatch import Stopwatch
+
+
+@dataclass(slots=True)
+class RunResult:
+    """What a run has gathered; grows while it runs, and is whole at every moment.
+
+    outputs by estimator; frames, with_pose, imu: counts; reasons: frames without a pose by cause;
+    counters: dropped detections and flags of poses by cause; tags_t_ns, tags_count: tags used in
+    each frame; interrupted: stopped by the user.
+    """
+
+    outputs: dict[str, list[Output]] = field(default_factory=dict)
+    frames: int = 0
+    with_pose: int = 0
+    imu: int = 0
+    reasons: Counter[str] = field(default_factory=Counter)
+    counters: Counter[str] = field(default_factory=Counter)
+    tags_t_ns: list[int] = field(default_factory=list)
+    tags_count: list[int] = field(default_factory=list)
+    interrupted: bool = False
+
+
+def run(
+    events: Iterable[ImuSample | Frame],
+    vo: TagVO,
+    estimators: Sequence[Estimator],
+    watch: Stopwatch,
+    each_frame: Callable[[], None] = lambda: None,
+) -> RunResult:
+    """Feed events in order to tagvo and the estimators; Ctrl-C ends it and keeps what there is."""
+    result = RunResult({e.name: [] for e in estimators})
+    try:
+        for event in events:
+            if isinstance(event, ImuSample):
+                result.imu += 1
+                for estimator in estimators:
+                    _keep(result, estimator, estimator.imu(event))
+                continue
+            watch.start()
+            trace = vo.trace(event)
+            _count(result, trace)
+            for estimator in estimators:
+                _keep(result, estimator, estimator.pose(event, trace.pose))
+            watch.stop()
+            each_frame()
+    except KeyboardInterrupt:
+        result.interrupted = True
+    return result
+
+
+def _keep(result: RunResult, estimator: Estimator, output: Output | None) -> None:
+    if output is not None:
+        result.outputs[estimator.name].append(output)
+
+
+def _count(result: RunResult, trace: Trace) -> None:
+    result.frames += 1
+    result.counters.update({cause: n for cause, n in trace.counts.items() if n})
+    used = 0
+    if trace.pose is not None:
+        result.with_pose += 1
+        result.counters.update(f"pose_{flag}" for flag in trace.pose.flags)
+        used = len(trace.pose.tag_ids)
+    elif trace.reason is not None:
+        result.reasons[trace.reason] += 1
+    result.tags_t_ns.append(trace.t_ns)
+    result.tags_count.append(used)
+
+
+def trajectory(name: str, outputs: Sequence[Output]) -> Trajectory:
+    """The outputs of one estimator as arrays, in the order in which they were known."""
+    n = len(outputs)
+    velocities = [o.v_WI for o in outputs if o.v_WI is not None]
+    covariances = [o.cov for o in outputs if o.cov is not None]
+    return Trajectory(
+        name,
+        np.array([o.t_ns for o in outputs], dtype=np.int64),
+        np.array([o.known_ns for o in outputs], dtype=np.int64),
+        np.array([o.p_WI for o in outputs]).reshape(n, 3),
+        np.array([o.R_WI for o in outputs]).reshape(n, 3, 3),
+        np.array(velocities) if n and len(velocities) == n else None,
+        np.array(covariances) if n and len(covariances) == n else None,
+    )
+
+
+def tum_rows(
+    one: Trajectory,
+) -> tuple[
+    "np.ndarray[tuple[int, ...], np.dtype[np.int64]]",
+    "np.ndarray[tuple[int, ...], np.dtype[np.float64]]",
+    "np.ndarray[tuple[int, ...], np.dtype[np.float64]]",
+]:
+    """Stamps (n,), positions (n, 3), quaternions wxyz (n, 4) in ascending order of stamp."""
+    order = np.argsort(one.t_ns, kind="stable")
+    return one.t_ns[order], one.p_WI[order], geo.quat_from_matrix(one.R_WI[order])

@@ -1,0 +1,39 @@
+"""Times the stages of the work from outside: core code reads no clock, it only says `lap`."""
+
+import time
+
+import numpy as np
+
+STAGES = ("detect", "tagpose", "select", "fuse", "joint", "filter")
+
+
+class Stopwatch:
+    """Collects the durations of named stages, frame by frame."""
+
+    def __init__(self) -> None:
+        self._ns: dict[str, list[int]] = {}
+        self._start = self._last = time.perf_counter_ns()
+
+    def start(self) -> None:
+        """A frame begins."""
+        self._start = self._last = time.perf_counter_ns()
+
+    def lap(self, stage: str) -> None:
+        """A stage has ended."""
+        now = time.perf_counter_ns()
+        self._ns.setdefault(stage, []).append(now - self._last)
+        self._last = now
+
+    def stop(self) -> None:
+        """The frame has ended; its whole duration is `total`."""
+        self._ns.setdefault("total", []).append(time.perf_counter_ns() - self._start)
+
+    def summary(self) -> dict[str, dict[str, float]]:
+        """p50 and p99 of each stage that ran [ms], in the order of the pipeline."""
+        stages = [s for s in (*STAGES, "total") if s in self._ns]
+        return {s: _quantiles(np.array(self._ns[s]) * 1e-6) for s in stages}
+
+
+def _quantiles(ms: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]") -> dict[str, float]:
+    p50, p99 = np.percentile(ms, [50, 99])
+    return {"p50": round(float(p50), 4), "p99": round(float(p99), 4)}
