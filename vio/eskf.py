@@ -222,10 +222,12 @@ def distance(S: Array, r: Array, first: int, m: int) -> float:
 
 
 @njit
-def pose_residual(x: Array, z: Array, r: Array) -> None:
-    """r (6,) := measured minus predicted camera pose [m, rad]; z = p_WC, q_WC, ... ."""
-    q = np.empty(4)
-    R_WC, p_WC = np.empty((3, 3)), np.empty(3)
+def pose_residual(x: Array, z: Array, r: Array, y: Array, R_WC: Array) -> None:
+    """r (6,) := measured minus predicted pivot in C [m] and rotation [rad]; z as `vio.pivot` has it.
+
+    y (3,) receives the predicted pivot in C, R_WC (3, 3) the predicted rotation.
+    """
+    q, p_WC = np.empty(4), np.empty(3)
     camera_pose(x, R_WC, p_WC)
     q[:] = x[at.X_Q : at.X_Q + 4]
     turn_quat(q, 0, (x[at.X_QIC], x[at.X_QIC + 1], x[at.X_QIC + 2], x[at.X_QIC + 3]))
@@ -236,24 +238,40 @@ def pose_residual(x: Array, z: Array, r: Array) -> None:
     sign = -1.0 if q[0] < 0.0 else 1.0
     k = 2.0 * sign if s < 1e-9 else 2.0 * math.atan2(s, abs(q[0])) / s * sign
     for i in range(3):
-        r[i] = z[i] - p_WC[i]
+        y[i] = 0.0
+        for j in range(3):
+            y[i] += R_WC[j, i] * (z[43 + j] - p_WC[j])
+        r[i] = z[i] - y[i]
         r[3 + i] = k * q[1 + i]
+
+
+@njit
+def pivot_rows(H: Array, R_WC: Array, y: Array, active: int) -> None:
+    """H (6, n) := d [pivot in C, rotation] / d error state, from d xi / d error state, in place."""
+    for j in range(active):
+        a, b, c = H[0, j], H[1, j], H[2, j]
+        u, v, w = H[3, j], H[4, j], H[5, j]
+        H[0, j] = y[1] * w - y[2] * v - (R_WC[0, 0] * a + R_WC[1, 0] * b + R_WC[2, 0] * c)
+        H[1, j] = y[2] * u - y[0] * w - (R_WC[0, 1] * a + R_WC[1, 1] * b + R_WC[2, 1] * c)
+        H[2, j] = y[0] * v - y[1] * u - (R_WC[0, 2] * a + R_WC[1, 2] * b + R_WC[2, 2] * c)
 
 
 @njit
 def correct_pose(
     x: Array, P: Array, w: Array, z: Array, inflation: float, gate: float
 ) -> tuple[int, float]:
-    """Correct by a camera pose z (43,): p_WC, q_WC, cov (36); what became of it, and its NIS.
+    """Correct by a camera pose z (46,) of `vio.pivot`; what became of it, and its NIS.
 
     w (3,) gyro then; inflation multiplies cov; gate scales the 99.9 % limits (inf: no gate).
     """
     n = P.shape[0]
     H, M, S, r = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6)), np.empty(6)
+    y, R_WC = np.empty(3), np.empty((3, 3))
+    pose_residual(x, z, r, y, R_WC)
     camera_jacobian(x, w, H)
+    pivot_rows(H, R_WC, y, n)
     times_p(H, P, M)
     times_ht(M, H, S)
-    pose_residual(x, z, r)
     for i in range(6):
         for j in range(6):
             S[i, j] += inflation * z[7 + 6 * i + j]

@@ -7,6 +7,7 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.camera import Camera
 from tagvo.geometry import Array
+from tagvo.information import FloorConfig
 from tagvo.records import Observations, PoseMeasurement, PosePrior
 from tagvo.tagmap import TagMap
 from vio import gate
@@ -15,7 +16,9 @@ from vio.corners import pack
 from vio.health import Health, Signs, judge
 from vio.intake import DEGRADED_NS, ImuIntake, Interval
 from vio.output import camera_prior, nav_state
+from vio.pivot import pose_row
 from vio.records import ImuNoise, ImuSample, NavState
+from vio.rig import RigJudge
 from vio.settings import VioConfig
 from vio.start import Rig, begin, dimension, is_still
 from vio.window import Window
@@ -45,10 +48,16 @@ class Estimator:
     """Error-state filter with a memory; `imu`, `pose`, `corners` feed it, nothing reads a clock."""
 
     def __init__(
-        self, config: VioConfig, camera: Camera, noise: ImuNoise, tag_map: TagMap | None = None
+        self,
+        config: VioConfig,
+        camera: Camera,
+        noise: ImuNoise,
+        tag_map: TagMap | None = None,
+        floor: FloorConfig | None = None,
     ) -> None:
         R_IC, p_IC = geo.invert(camera.R_CI, camera.p_CI)
-        self._config, self._map, self._noise = config, tag_map, noise
+        self._config, self._map = config, tag_map
+        self._centre_px, self._floor = camera.intrinsics[2:], floor or FloorConfig()
         self._rig = Rig(R_IC, p_IC, camera.timeshift_s)
         known = tag_map.gravity if tag_map is not None else None
         self._gravity = (
@@ -72,6 +81,11 @@ class Estimator:
         self._nis = 0.0
         self._still_ns = 0
         self._resets = 0
+        self._judge = self._new_judge()
+
+    def _new_judge(self) -> RigJudge:
+        c = self._config
+        return RigJudge(c.rig, c.prior.extrinsic_rotation_deg, self._rig.R_IC)
 
     def imu(self, sample: ImuSample) -> NavState | None:
         """Take an IMU sample; the state valid at its stamp, None before the start."""
@@ -102,7 +116,7 @@ class Estimator:
     def pose(self, measured: PoseMeasurement) -> None:
         """Take a camera pose, however late; its stamp is the camera's."""
         if self._remember(measured):
-            self._insert(measured.t_ns, self._pose_row(measured))
+            self._insert(measured.t_ns, pose_row(measured))
             self._review()
 
     def corners(self, t_ns: int, seen: Observations, measured: PoseMeasurement | None) -> None:
@@ -113,7 +127,7 @@ class Estimator:
             self._remember(measured)
         if not self._started:
             return
-        tags = pack(seen, self._map, self._config.max_tags)
+        tags = pack(seen, self._map, self._centre_px, self._floor, self._config.max_tags)
         if len(tags):
             self._insert(t_ns, np.concatenate([[at.M_CORNERS, len(tags)], tags.ravel()]))
             self._review()
@@ -176,12 +190,6 @@ class Estimator:
         self._try_start()
         return False
 
-    @staticmethod
-    def _pose_row(measured: PoseMeasurement) -> Array:
-        q = geo.quat_from_matrix(measured.R_WC)
-        head = np.array([at.M_POSE, 1.0])
-        return np.concatenate([head, measured.p_WC, q, measured.cov.ravel()])
-
     def _insert(self, t_ns: int, row: Array) -> None:
         shift = round(self._window.X[self._window.last, at.X_TD] * 1e9)
         late = self._window.now_ns - (t_ns + shift)
@@ -223,11 +231,12 @@ class Estimator:
             if s.t_ns > found.t_ns:
                 self._window.add_interval(s.t_ns, s.gyro, s.accel, s.scale)
         self._resets += self._started_once
+        self._judge = self._new_judge()
         self._started = self._started_once = True
         self._accepted_ns = self._still_ns = found.t_ns
         for pose in sorted(self._poses, key=lambda p: p.t_ns):
             if pose.t_ns >= poses[0].t_ns:
-                self._insert(pose.t_ns, self._pose_row(pose))
+                self._insert(pose.t_ns, pose_row(pose))
         self._review()
 
     def _restart(self, why: str) -> None:
@@ -241,7 +250,7 @@ class Estimator:
         """After measurements were decided: what health needs, and whether to recover."""
         w = self._window
         states = w.m_state[: w.count]
-        vision = np.flatnonzero((w.m_z[: w.count, 0] != at.M_STILL) & (states != at.PENDING))
+        vision = np.flatnonzero((w.m_z[: w.count, 0] <= at.M_CORNERS) & (states != at.PENDING))
         good = vision[np.isin(states[vision], (at.ACCEPTED, at.POSITION_ONLY))]
         if good.size:
             self._accepted_ns = int(w.m_at[good[-1]])
@@ -249,6 +258,10 @@ class Estimator:
         self._rejects = len(bad)
         nis = w.m_nis[vision[-20:]]
         self._nis = float(np.median(nis)) / 6.0 if nis.size else 0.0
+        row = self._judge.row(w.X[w.last], w.P[w.last])
+        if row is not None:
+            self._counters["rig_confirmed" if self._judge.confirmed else "rig_opened"] += 1
+            self._insert(w.now_ns - round(w.X[w.last, at.X_TD] * 1e9), row)
         age = (w.now_ns - self._accepted_ns) * 1e-9
         c = self._config.recovery
         if len(bad) >= c.rejects and age > c.after_s:

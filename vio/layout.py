@@ -47,7 +47,7 @@ NOISE = 10
 
 # one measurement as a row of numbers: kind, count, then its payload
 M_POSE, M_CORNERS, M_STILL, M_RIG, M_OPEN = 0, 1, 2, 3, 4
-POSE_NUMBERS = 3 + 4 + 36  # p_WC, q_WC, cov
+POSE_NUMBERS = 3 + 4 + 36 + 3  # pivot in C, q_WC, cov of both, pivot in W: see vio.pivot
 TAG_NUMBERS = 78  # see vio.corners
 STILL_NUMBERS = 1  # variance of each velocity axis
 

@@ -36,6 +36,13 @@ class StartConfig(_Model):
     still_accel_m_s2: PositiveFloat = 0.2
 
 
+class RigConfig(_Model):
+    """The extrinsic rotation: how well a calibration holds once the flight has confirmed it."""
+
+    confirmed_deg: PositiveFloat = 0.05
+    confirm_below_deg: PositiveFloat = 0.4
+
+
 class RecoveryConfig(_Model):
     """When to believe rejected poses that agree with one another."""
 
@@ -73,5 +80,6 @@ class VioConfig(_Model):
     accel_max_m_s2: PositiveFloat = 156.9
     prior: PriorConfig = PriorConfig()
     start: StartConfig = StartConfig()
+    rig: RigConfig = RigConfig()
     recovery: RecoveryConfig = RecoveryConfig()
     health: HealthConfig = HealthConfig()

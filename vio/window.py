@@ -164,7 +164,7 @@ class Window:
 
     def archive(self, number: int) -> None:
         """Forget the oldest measurements, but not what became of them."""
-        self.archived.update(int(s) for s in self.m_state[:number])
+        self.archived += self._tally(number)
         left = self.count - number
         if number:
             self._floor_ns = max(self._floor_ns, int(self.m_at[number - 1]))
@@ -173,8 +173,12 @@ class Window:
         self.count = left
 
     def verdicts(self) -> Counter[int]:
-        """How many measurements got each verdict, gates as last decided."""
-        return self.archived + Counter(int(s) for s in self.m_state[: self.count])
+        """How many camera measurements got each verdict, gates as last decided."""
+        return self.archived + self._tally(self.count)
+
+    def _tally(self, number: int) -> Counter[int]:
+        rows = self.m_state[:number][self.m_z[:number, 0] <= at.M_CORNERS]
+        return Counter(rows.tolist())
 
     def at_or_before(self, t_ns: int) -> int:
         """Index of the newest snapshot not after t_ns; -1: none."""
