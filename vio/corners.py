@@ -200,12 +200,27 @@ def gather(
 
 
 @njit
+def _whiten(y: Array, X: Array, inflation: float, y_white: Array) -> None:
+    """y_white (6,) := y (6, 1) of covariance I + inflation X X^T, whitened, without inflation."""
+    L, out = np.eye(6), y.copy()
+    for i in range(6):
+        out[i, 0] *= np.sqrt(inflation)
+        for j in range(6):
+            for k in range(3):
+                L[i, j] += inflation * X[i, k] * X[j, k]
+    if cholesky(L, 6):
+        solve_lower(L, 6, out)
+        y_white[:] = out[:, 0]
+
+
+@njit
 def correct_corners(
-    x: Array, P: Array, w: Array, tags: Array, inflation: float, gate: float
+    x: Array, P: Array, w: Array, tags: Array, inflation: float, gate: float, y_white: Array
 ) -> tuple[int, float]:
     """Correct by the corners of tags (k, TAG_NUMBERS); what became of it, and a NIS as of 6 dof.
 
-    w (3,) gyro then; inflation multiplies the noise; gate scales the 99.9 % limits.
+    w (3,) gyro then; inflation multiplies the noise; gate scales the 99.9 % limits; y_white (6,)
+    receives what the accepted tags say of xi, whitened by their own noise.
     """
     n = P.shape[0]
     H, M, P_xi = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6))
@@ -223,6 +238,7 @@ def correct_corners(
     y = b.copy().reshape((6, 1))
     solve_lower(A, 6, y)  # y = C^T xi + white noise, where A = C C^T
     solve_lower(A, 6, X)
+    _whiten(y, X, inflation, y_white)
     U, S, PU = np.zeros((6, n)), np.eye(6), np.zeros((6, 6))
     for i in range(6):
         for k in range(i, 6):

@@ -258,11 +258,12 @@ def pivot_rows(H: Array, R_WC: Array, y: Array, active: int) -> None:
 
 @njit
 def correct_pose(
-    x: Array, P: Array, w: Array, z: Array, inflation: float, gate: float
+    x: Array, P: Array, w: Array, z: Array, inflation: float, gate: float, y_white: Array
 ) -> tuple[int, float]:
     """Correct by a camera pose z (46,) of `vio.pivot`; what became of it, and its NIS.
 
-    w (3,) gyro then; inflation multiplies cov; gate scales the 99.9 % limits (inf: no gate).
+    w (3,) gyro then; inflation multiplies cov; gate scales the 99.9 % limits (inf: no gate);
+    y_white (6,) receives the innovation whitened by cov.
     """
     n = P.shape[0]
     H, M, S, r = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6)), np.empty(6)
@@ -272,9 +273,16 @@ def correct_pose(
     pivot_rows(H, R_WC, y, n)
     times_p(H, P, M)
     times_ht(M, H, S)
+    L, white = np.empty((6, 6)), np.empty((6, 1))
     for i in range(6):
+        white[i, 0] = r[i]
         for j in range(6):
-            S[i, j] += inflation * z[7 + 6 * i + j]
+            L[i, j] = z[7 + 6 * i + j]
+            S[i, j] += inflation * L[i, j]
+    if not cholesky(L, 6):
+        return at.SINGULAR, np.inf
+    solve_lower(L, 6, white)
+    y_white[:] = white[:, 0]
     nis = distance(S, r, 0, 6)
     if nis == np.inf or nis != nis:
         return at.SINGULAR, nis

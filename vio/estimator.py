@@ -67,7 +67,7 @@ class Estimator:
         ticks = int(np.ceil((config.buffer_s + 0.5) * max(rate, 100.0) * 1.5))
         tags = config.max_tags if config.update == "corners" else 0
         width = 2 + max(at.POSE_NUMBERS, tags * at.TAG_NUMBERS)
-        par = np.array([config.r_inflation, config.gate])
+        par = np.array([config.r_inflation, config.gate, float(config.r_adapt)])
         q = process_noise(noise, config)
         self._window = Window(dimension(config), ticks, _SLOTS, width, q, par)
         self._intake = ImuIntake(1.0 / rate, config.gyro_max_rad_s, config.accel_max_m_s2)

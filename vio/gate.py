@@ -11,6 +11,7 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.geometry import Array
 from vio import layout as at
+from vio.memory import no_memory
 from vio.settings import RecoveryConfig
 
 
@@ -67,6 +68,7 @@ def relocate(x: Array, P: Array, move: Relocation) -> tuple[Array, Array]:
     x[at.X_P : at.X_P + 3] = move.p_WI - x[at.X_BIAS : at.X_BIAS + 3]
     x[at.X_Q : at.X_Q + 4] = geo.quat_from_matrix(R_WI)
     x[at.X_V : at.X_V + 3] = move.turn_W @ x[at.X_V : at.X_V + 3] + move.velocity_error
+    x[at.X_RECENT :] = no_memory()
     out = P.copy()
     sigma = np.repeat([2.0 * move.sigma_m, 0.5, 2.0 * move.sigma_rad], 3)
     out[: at.BG, :] = out[:, : at.BG] = 0.0

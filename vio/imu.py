@@ -215,7 +215,7 @@ def _relax_bias(P: Array, dt: float, q: Array) -> None:
 def propagate(
     x: Array, P: Array, w: Array, f: Array, dt: float, q: Array, scale: Array
 ) -> None:
-    """State x (34,) and covariance P (n, n) over dt [s], in place.
+    """State x (NOMINAL,) and covariance P (n, n) over dt [s], in place.
 
     w, f (3,): means of gyro [rad/s] and specific force [m/s^2] over the interval, in I; q (10,)
     process noise; scale (6,) multiplies the white noise of each gyro and accelerometer axis.

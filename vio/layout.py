@@ -17,7 +17,13 @@ X_TD = 20  # time offset [s]: t_imu = t_cam + td
 X_QWG = 21  # q_WG: level frame in the map
 X_PIC = 25  # p_IC [m]
 X_BIAS = 28  # pose bias: position in W [m], right rotation in C [rad]
-NOMINAL = 34
+# what the filter remembers of its innovations (vio.memory), newest first
+LAGS = 5
+X_RECENT = 34
+X_SUMS = X_RECENT + 6 * LAGS  # their products at lags 0 to LAGS
+X_LAST = X_SUMS + LAGS + 1  # [s], when the newest was
+NOMINAL = X_LAST + 1
+MEMORY = NOMINAL - X_RECENT
 
 # error state
 P = 0  # [m]

@@ -16,7 +16,7 @@ _PICK = np.ix_(_ORDER, _ORDER)
 
 
 def nav_state(t_ns: int, x: Array, P: Array) -> NavState:
-    """The record of a nominal state x (34,) and its covariance P (n, n)."""
+    """The record of a nominal state x (NOMINAL,) and its covariance P (n, n)."""
     R_WI = geo.matrix_from_quat(x[at.X_Q : at.X_Q + 4])
     return NavState(
         t_ns, x[at.X_P : at.X_P + 3].copy(), R_WI, x[at.X_V : at.X_V + 3].copy(), P[_PICK]

@@ -62,10 +62,16 @@ class HealthConfig(_Model):
 
 
 class VioConfig(_Model):
-    """The filter; `update` picks how tags correct it."""
+    """The filter; `update` picks how tags correct it.
+
+    `r_inflation` multiplies the poses' covariance, for errors that are correlated in time; with
+    `r_adapt` it is what such errors usually need, and the factor moves between 1 and twice as much
+    by how correlated the innovations turn out to be.
+    """
 
     update: Literal["pose", "corners"] = "pose"
     r_inflation: PositiveFloat = 4.0
+    r_adapt: bool = True
     gate: PositiveFloat = 1.0
     lever_arm: bool = False
     pose_bias: bool = False

@@ -14,6 +14,7 @@ from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import PoseMeasurement
 from vio import layout as at
 from vio.intake import Interval
+from vio.memory import no_memory
 from vio.settings import VioConfig
 
 _AGREE_RAD = np.radians(12.0)  # first poses whose attitudes differ more from the gyro's disagree
@@ -33,7 +34,7 @@ class Rig:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Begin:
-    """Nominal state x (34,) and covariance P (n, n) at t_ns; used: which poses agreed."""
+    """Nominal state x (NOMINAL,) and covariance P (n, n) at t_ns; used: which poses agreed."""
 
     t_ns: int
     x: Array
@@ -145,6 +146,7 @@ def _nominal(R_WI: Array, pvg: Array, gyro_bias: Array, rig: Rig) -> Array:
     x[at.X_TD] = rig.time_offset_s
     x[at.X_QWG : at.X_QWG + 4] = geo.quat_from_matrix(level_frame(pvg[2]))
     x[at.X_PIC : at.X_PIC + 3] = rig.p_IC
+    x[at.X_RECENT :] = no_memory()
     return x
 
 

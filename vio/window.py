@@ -14,26 +14,33 @@ from vio import layout as at
 from vio.corners import correct_corners
 from vio.eskf import correct_pose, correct_rig, correct_still
 from vio.imu import propagate
+from vio.memory import inflation, remember
 
 _FAR = np.iinfo(np.int64).max
 
 
 @njit
-def _apply(x: Array, P: Array, w: Array, z: Array, par: Array) -> tuple[int, float]:
+def _apply(x: Array, P: Array, w: Array, z: Array, par: Array, t_ns: int) -> tuple[int, float]:
+    """One measurement, whatever its kind: the verdict and its NIS."""
     kind = int(z[0])
-    if kind == at.M_POSE:
-        return correct_pose(x, P, w, z[2:], par[0], par[1])
-    if kind == at.M_CORNERS:
-        n = int(z[1])
-        tags = z[2 : 2 + n * at.TAG_NUMBERS].reshape((n, at.TAG_NUMBERS))
-        return correct_corners(x, P, w, tags, par[0], par[1])
     if kind == at.M_STILL:
         return correct_still(x, P, z[2], par[1])
     if kind == at.M_RIG:
         return correct_rig(x, P, z[2:])
-    for i in range(at.EX, at.EX + 3):  # M_OPEN
-        P[i, i] += z[2]
-    return at.ACCEPTED, 0.0
+    if kind == at.M_OPEN:
+        for i in range(at.EX, at.EX + 3):
+            P[i, i] += z[2]
+        return at.ACCEPTED, 0.0
+    y, factor = np.zeros(6), inflation(x, par)
+    if kind == at.M_POSE:
+        verdict, nis = correct_pose(x, P, w, z[2:], factor, par[1], y)
+    else:
+        n = int(z[1])
+        tags = z[2 : 2 + n * at.TAG_NUMBERS].reshape((n, at.TAG_NUMBERS))
+        verdict, nis = correct_corners(x, P, w, tags, factor, par[1], y)
+    if verdict == at.ACCEPTED:
+        remember(x, y, t_ns * 1e-9)
+    return verdict, nis
 
 
 @njit
@@ -49,7 +56,8 @@ def walk(
     """Fill the snapshots first+1..last from snapshot `first`, applying measurements from j on.
 
     t (k,), imu (k, 12): end of each interval, its gyro, accel and noise scale; X, P snapshots;
-    m_*: stamps in order, effective times, verdicts, NIS and payloads; par: inflation, gate.
+    m_*: stamps in order, effective times, verdicts, NIS and payloads; par: usual inflation,
+    gate, whether to adapt.
     """
     for k in range(first, last):
         x, C = X[k + 1], P[k + 1]
@@ -65,7 +73,7 @@ def walk(
                 propagate(x, C, w, f, (due - now) * 1e-9, q, scale)
                 now = due
             m_at[j] = now
-            m_state[j], m_nis[j] = _apply(x, C, w, m_z[j], par)
+            m_state[j], m_nis[j] = _apply(x, C, w, m_z[j], par, now)
             j += 1
         if end > now:
             propagate(x, C, w, f, (end - now) * 1e-9, q, scale)
