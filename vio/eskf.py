@@ -331,3 +331,13 @@ def correct_rig(x: Array, P: Array, z: Array) -> tuple[int, float]:
     nis = distance(S, r, 0, 3)
     good = cholesky(S, 3) and downdate(x, P, S, M, r)
     return (at.ACCEPTED if good else at.SINGULAR), nis
+
+
+@njit
+def correct_clock(x: Array, P: Array, offset_s: float, variance: float) -> tuple[int, float]:
+    """Correct by the time offset as calibrated [s], of this variance [s^2]."""
+    M, L, r = P[at.TD : at.TD + 1].copy(), np.empty((1, 1)), np.empty(1)
+    L[0, 0] = math.sqrt(P[at.TD, at.TD] + variance)
+    r[0] = offset_s - x[at.X_TD]
+    nis = (r[0] / L[0, 0]) ** 2
+    return (at.ACCEPTED if downdate(x, P, L, M, r) else at.SINGULAR), nis

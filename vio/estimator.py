@@ -84,8 +84,7 @@ class Estimator:
         self._judge = self._new_judge()
 
     def _new_judge(self) -> RigJudge:
-        c = self._config
-        return RigJudge(c.rig, c.prior.extrinsic_rotation_deg, self._rig.R_IC)
+        return RigJudge(self._config, self._rig.R_IC, self._rig.time_offset_s)
 
     def imu(self, sample: ImuSample) -> NavState | None:
         """Take an IMU sample; the state valid at its stamp, None before the start."""
@@ -258,9 +257,8 @@ class Estimator:
         self._rejects = len(bad)
         nis = w.m_nis[vision[-20:]]
         self._nis = float(np.median(nis)) / 6.0 if nis.size else 0.0
-        row = self._judge.row(w.X[w.last], w.P[w.last])
-        if row is not None:
-            self._counters["rig_confirmed" if self._judge.confirmed else "rig_opened"] += 1
+        for row in self._judge.rows(w.X[w.last], w.P[w.last]):
+            self._counters["rig_doubted" if row[0] == at.M_OPEN else "rig_confirmed"] += 1
             self._insert(w.now_ns - round(w.X[w.last, at.X_TD] * 1e9), row)
         age = (w.now_ns - self._accepted_ns) * 1e-9
         c = self._config.recovery

@@ -52,12 +52,11 @@ N_GRAVITY = 9  # magnitude [m/s^2]
 NOISE = 10
 
 # one measurement as a row of numbers: kind, count, then its payload
-M_POSE, M_CORNERS, M_STILL, M_RIG, M_OPEN = 0, 1, 2, 3, 4
+M_POSE, M_CORNERS, M_STILL, M_RIG, M_CLOCK, M_OPEN = 0, 1, 2, 3, 4, 5
 POSE_NUMBERS = 3 + 4 + 36 + 3  # pivot in C, q_WC, cov of both, pivot in W: see vio.pivot
 TAG_NUMBERS = 78  # see vio.corners
 STILL_NUMBERS = 1  # variance of each velocity axis
 
-RIG_NUMBERS = 5  # q_IC as calibrated, variance of each axis; M_OPEN: variance to add
 
 # what became of a measurement
 PENDING, ACCEPTED, POSITION_ONLY, ROTATION_ONLY, REJECTED, SINGULAR = 0, 1, 2, 3, 4, 5

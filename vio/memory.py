@@ -16,7 +16,7 @@ from vio import layout as at
 
 _FORGET = 1.0 - 1.0 / 300.0  # per measurement
 _PRIOR_WEIGHT = 6.0 * 40.0  # as much as 40 measurements know
-_PRIOR = 0.08
+_PRIOR = 0.16
 _LOW, _HIGH = 0.05, 0.2  # autocorrelation where inflation begins, and where it is at its limit
 _CLIP = 4.7  # no innovation counts for more than the gate's limit
 _GAP_S = 0.5

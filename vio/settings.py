@@ -37,10 +37,12 @@ class StartConfig(_Model):
 
 
 class RigConfig(_Model):
-    """The extrinsic rotation: how well a calibration holds once the flight has confirmed it."""
+    """How well a calibration holds once the flight has confirmed it, and when it can tell."""
 
-    confirmed_deg: PositiveFloat = 0.05
-    confirm_below_deg: PositiveFloat = 0.4
+    rotation_deg: PositiveFloat = 0.05
+    rotation_known_deg: PositiveFloat = 0.4
+    time_offset_s: PositiveFloat = 0.0005
+    time_offset_known_s: PositiveFloat = 0.003
 
 
 class RecoveryConfig(_Model):

@@ -12,7 +12,7 @@ from tagvo.compiled import njit
 from tagvo.geometry import Array, IntArray
 from vio import layout as at
 from vio.corners import correct_corners
-from vio.eskf import correct_pose, correct_rig, correct_still
+from vio.eskf import correct_clock, correct_pose, correct_rig, correct_still
 from vio.imu import propagate
 from vio.memory import inflation, remember
 
@@ -27,8 +27,10 @@ def _apply(x: Array, P: Array, w: Array, z: Array, par: Array, t_ns: int) -> tup
         return correct_still(x, P, z[2], par[1])
     if kind == at.M_RIG:
         return correct_rig(x, P, z[2:])
+    if kind == at.M_CLOCK:
+        return correct_clock(x, P, z[2], z[3])
     if kind == at.M_OPEN:
-        for i in range(at.EX, at.EX + 3):
+        for i in range(int(z[3]), int(z[3] + z[4])):
             P[i, i] += z[2]
         return at.ACCEPTED, 0.0
     y, factor = np.zeros(6), inflation(x, par)

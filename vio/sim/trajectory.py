@@ -82,13 +82,14 @@ def t2(R_WG: Array | None = None) -> tuple[Flight, float]:
 
 
 def t3(R_WG: Array | None = None) -> tuple[Flight, float]:
-    """A spline through twelve points, the yaw turning over 250 degrees; about 0.5 to 1.1 m/s."""
+    """A spline through twelve points, the yaw swinging over 250 degrees twice; 0.7, at most 1.2 m/s."""
     legs = np.sqrt(np.linalg.norm(np.diff(_T3, axis=0), axis=1))
     knots = np.concatenate([[0.0], np.cumsum(legs)])
     t_knots = knots / knots[-1] * 36.0 + 2.0
     curve = make_interp_spline(t_knots, _T3, k=3, bc_type="clamped")
     t = np.arange(0.0, 40.0, 0.1)
-    yaw = np.radians(30.0 + 125.0 * (1.0 - np.cos(np.pi * np.clip((t - 2.0) / 36.0, 0.0, 1.0))))
+    swing = 1.0 - np.cos(4.0 * np.pi * np.clip((t - 2.0) / 36.0, 0.0, 1.0))
+    yaw = np.radians(30.0 + 125.0 * swing)
     return flight(t, curve(np.clip(t, 2.0, 38.0)), yaw, R_WG), 40.0
 
 
