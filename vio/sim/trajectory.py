@@ -17,7 +17,7 @@ _T3 = np.array(
     [
         [0.6, 0.8, 0.8], [2.3, 2.0, 1.5], [0.8, 3.2, 1.0], [2.2, 4.3, 1.6], [0.7, 4.0, 0.9],
         [1.6, 1.2, 1.4], [2.4, 3.4, 0.8], [0.6, 2.4, 1.7], [1.9, 0.9, 1.0], [1.2, 4.2, 1.5],
-        [2.3, 1.6, 1.2], [0.9, 2.8, 0.9],
+        [2.3, 1.6, 1.2], [0.9, 2.8, 0.9], [2.2, 4.0, 1.4], [1.8, 1.0, 1.7], [0.8, 2.2, 1.0],
     ]
 )  # fmt: skip
 
@@ -82,15 +82,15 @@ def t2(R_WG: Array | None = None) -> tuple[Flight, float]:
 
 
 def t3(R_WG: Array | None = None) -> tuple[Flight, float]:
-    """A spline through twelve points, the yaw swinging over 250 degrees twice; 0.7, at most 1.2 m/s."""
+    """A spline through fifteen points, the yaw swinging over 250 degrees three times; 0.7, at most 1.2 m/s."""
     legs = np.sqrt(np.linalg.norm(np.diff(_T3, axis=0), axis=1))
     knots = np.concatenate([[0.0], np.cumsum(legs)])
-    t_knots = knots / knots[-1] * 36.0 + 2.0
+    t_knots = knots / knots[-1] * 41.0 + 2.0
     curve = make_interp_spline(t_knots, _T3, k=3, bc_type="clamped")
-    t = np.arange(0.0, 40.0, 0.1)
-    swing = 1.0 - np.cos(4.0 * np.pi * np.clip((t - 2.0) / 36.0, 0.0, 1.0))
+    t = np.arange(0.0, 45.0, 0.1)
+    swing = 1.0 - np.cos(6.0 * np.pi * np.clip((t - 2.0) / 41.0, 0.0, 1.0))
     yaw = np.radians(30.0 + 125.0 * swing)
-    return flight(t, curve(np.clip(t, 2.0, 38.0)), yaw, R_WG), 40.0
+    return flight(t, curve(np.clip(t, 2.0, 43.0)), yaw, R_WG), 45.0
 
 
 FLIGHTS = {"T1": t1, "T2": t2, "T3": t3}
