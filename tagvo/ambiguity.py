@@ -57,9 +57,13 @@ def _distance2(R_a: Array, p_a: Array, R_b: Array, p_b: Array, depth: float) -> 
 
 
 @njit
-def _vote(R: Array, p: Array, depth: Array, likelihood: Array, weight: Array) -> IntArray:
+def _vote(R: Array, p: Array, depth: Array, gap: Array, area_px: Array) -> IntArray:
     """The branch of each tag nearest the candidate pose that most tags support."""
     n = len(R)
+    likelihood, weight = np.ones((n, 2)), np.sqrt(area_px)
+    for t in range(n):
+        chance = min(max(np.exp(-0.5 * min(gap[t], 100.0)), _LEAST_LIKELY), 1.0)
+        likelihood[t, 1] = 0.0 if np.isinf(gap[t]) else chance
     scale = 1.0 / (_SPREAD * _SPREAD)
     best, best_t, best_s = -1.0, 0, 0
     for t in range(n):
@@ -87,12 +91,16 @@ def _vote(R: Array, p: Array, depth: Array, likelihood: Array, weight: Array) ->
     return branch
 
 
+@njit
 def chi2_gap(rms_px: Array, sigma_px: Array) -> Array:
     """How much worse the second solution fits, in chi-square; (n, 2), (n, 4) -> (n,)."""
-    variance = np.mean(np.square(sigma_px), axis=1)
-    with np.errstate(invalid="ignore"):
-        gap = 4.0 * (np.square(rms_px[:, 1]) - np.square(rms_px[:, 0])) / variance
-    return np.asarray(np.where(np.isfinite(gap), gap, np.inf))
+    gap = np.empty(len(rms_px))
+    for i in range(len(gap)):
+        variance = 0.25 * np.sum(np.square(sigma_px[i]))
+        gap[i] = 4.0 * (rms_px[i, 1] ** 2 - rms_px[i, 0] ** 2) / variance
+        if not np.isfinite(gap[i]):
+            gap[i] = np.inf
+    return gap
 
 
 def first(
@@ -111,10 +119,7 @@ def consistent(
     """
     if len(gap) < 2:
         return first(R_WC, p_WC, depth, gap, area_px, prior)
-    likelihood = np.ones((len(gap), 2))
-    likelihood[:, 1] = np.clip(np.exp(-0.5 * np.minimum(gap, 100.0)), _LEAST_LIKELY, 1.0)
-    likelihood[np.isinf(gap), 1] = 0.0
-    return _vote(R_WC, p_WC, depth, likelihood, np.sqrt(area_px))
+    return _vote(R_WC, p_WC, depth, gap, area_px)
 
 
 def nearest_prior(

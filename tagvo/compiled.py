@@ -130,3 +130,41 @@ def rotated(R: Array, phi: Array, out: Array) -> None:
         out[i, 0] = r0 * e00 + r1 * e10 + r2 * e20
         out[i, 1] = r0 * e01 + r1 * e11 + r2 * e21
         out[i, 2] = r0 * e02 + r1 * e12 + r2 * e22
+
+
+@njit
+def quaternion(R: Array, q: Array) -> None:
+    """Unit quaternion wxyz of a rotation matrix (3, 3) into q (4,); its sign is free (Shepperd)."""
+    t = R[0, 0] + R[1, 1] + R[2, 2]
+    k = 0  # the largest component: w, or x, y, z
+    largest = t
+    for i in range(3):
+        if R[i, i] > largest:
+            k, largest = i + 1, R[i, i]
+    if k == 0:
+        q[0] = 1.0 + t
+        q[1], q[2], q[3] = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    else:
+        i, j, m = k - 1, k % 3, (k + 1) % 3
+        q[0] = R[m, j] - R[j, m]
+        q[1 + i] = 1.0 + R[i, i] - R[j, j] - R[m, m]
+        q[1 + j], q[1 + m] = R[j, i] + R[i, j], R[m, i] + R[i, m]
+    norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+    for i in range(4):
+        q[i] /= norm
+
+
+@njit
+def rotation(q: Array) -> Array:
+    """Rotation matrix (3, 3) of a unit quaternion wxyz (4,)."""
+    w, x, y, z = q
+    R = np.empty((3, 3))
+    R[0, 0], R[1, 1], R[2, 2] = (
+        1 - 2 * (y * y + z * z),
+        1 - 2 * (x * x + z * z),
+        1 - 2 * (x * x + y * y),
+    )
+    R[0, 1], R[1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
+    R[0, 2], R[2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)
+    R[1, 2], R[2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
+    return R

@@ -15,7 +15,7 @@ from tagvo.outliers import IqrConfig
 Model = TypeVar("Model", bound=BaseModel)
 
 
-class DetectorConfig(BaseModel, frozen=True, extra="forbid"):
+class DetectorConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Which detector, and how it searches."""
 
     library: Literal["auto", "apriltag", "aruco"] = "auto"
@@ -25,9 +25,11 @@ class DetectorConfig(BaseModel, frozen=True, extra="forbid"):
 
 
 class NoiseConfig(BaseModel, frozen=True, extra="forbid"):
-    """Corner noise [px, one sigma per axis]; with `blur` it grows with the measured edge width."""
+    """Corner noise [px, one sigma per axis]: of corners that come with a frame, and of sharp ones
+    found in its image; with `blur` the latter grows with the measured edge width."""
 
-    corner_px: PositiveFloat = 0.3
+    corner_px: float = Field(default=0.3, gt=0.0, le=1e3)
+    image_px: float = Field(default=0.1, gt=0.0, le=1e3)
     blur: bool = True
 
 
@@ -40,7 +42,7 @@ class TagvoConfig(BaseModel, frozen=True, extra="forbid"):
     weights: Literal["W1", "W2", "uniform"] = "W2"
     mean: Literal["QL2", "CL2"] = "QL2"
     fir: Literal["none", "paper", "endpoint"] = "none"
-    fir_gap_s: PositiveFloat = 0.25
+    fir_gap_s: float = Field(default=0.25, gt=0.0, le=1e6)
     ambiguity: Literal["first", "consistent", "prior"] = "consistent"
     refine: int = Field(default=1, ge=0, le=10)
     iqr: IqrConfig = IqrConfig()
@@ -74,6 +76,8 @@ def _say(model: type[BaseModel], fault: Any, where: str, path: Iterable[Any]) ->
     if fault["type"] == "literal_error":
         allowed = fault["ctx"]["expected"].replace("'", "").replace(" or ", ", ")
         return f"{here}: unknown {fault['input']!r}; choose one of {allowed}"
+    if fault["type"] in ("model_type", "model_attributes_type"):
+        return f"{here}: {fault['input']!r}; a mapping `key: value` is needed"
     message = fault["msg"][:1].lower() + fault["msg"][1:]
     return f"{here}: {fault['input']!r}; {message}"
 
@@ -91,4 +95,5 @@ def load_tagvo_config(path: Path) -> TagvoConfig:
     """The `tagvo` section of a config file; for those who use tagvo without vio."""
     from tagvo.textfile import read_yaml
 
-    return validated(TagvoConfig, read_yaml(path, ConfigError).get("tagvo", {}), str(path), "tagvo")
+    section = read_yaml(path, ConfigError).get("tagvo")
+    return validated(TagvoConfig, {} if section is None else section, str(path), "tagvo")

@@ -135,5 +135,5 @@ def _measurement(
 ) -> PoseMeasurement:
     R_WC, p_WC = pose
     symmetric = 0.5 * (cov + cov.T)
-    ids = tuple(int(t) for t in tag_ids)
+    ids = tuple(tag_ids.tolist())
     return PoseMeasurement(t_ns, p_WC, R_WC, symmetric, ids, tuple(sorted(flags)))

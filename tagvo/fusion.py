@@ -4,8 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tagvo import geometry as geo
-from tagvo.compiled import njit
+from tagvo.compiled import njit, quaternion, rotation
 from tagvo.geometry import Array
 
 _QUARTER_TURN = float(np.cos(np.pi / 4.0))  # |q_i . q_j| of two rotations 90 degrees apart
@@ -46,6 +45,14 @@ def _aligned_sum(q: Array, w: Array) -> tuple[Array, float]:
     return total, closest
 
 
+@njit
+def _quaternions(R: Array) -> Array:
+    q = np.empty((len(R), 4))
+    for i in range(len(R)):
+        quaternion(R[i], q[i])
+    return q
+
+
 def chordal_mean(q: Array, w: Array) -> tuple[Array, tuple[str, ...]]:
     """CL2: top eigenvector of sum w q q^T; q (n, 4) wxyz, w (n,) -> (4,), flags."""
     _, vectors = np.linalg.eigh((q * w[:, None]).T @ q)
@@ -77,5 +84,5 @@ def fuse(p: Array, R: Array, weights: Array, mean: str) -> tuple[Array, Array, t
 
     Paper, section Multi-tags Estimate Fusion; the position sum is divided by the weights' sum.
     """
-    q, flags = MEAN[mean](geo.quat_from_matrix(R), weights)
-    return (weights @ p) / weights.sum(), geo.matrix_from_quat(q), flags
+    q, flags = MEAN[mean](_quaternions(R), weights)
+    return (weights @ p) / weights.sum(), rotation(q), flags

@@ -11,13 +11,13 @@ import numpy as np
 from pydantic import BaseModel, NonNegativeFloat
 
 from tagvo import reprojection
-from tagvo.compiled import cholesky, forward, inverse_spd, njit
+from tagvo.compiled import cholesky, inverse_spd, njit
 from tagvo.geometry import Array, IntArray
 
 SYSTEMATIC = 3  # focal length, principal point u, principal point v
 
 
-class FloorConfig(BaseModel, frozen=True, extra="forbid"):
+class FloorConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Standard deviations of what no fusion removes: the errors of the calibration."""
 
     focal_rel: NonNegativeFloat = 0.001
@@ -51,20 +51,18 @@ def tag_rows(R_WC: Array, p_WC: Array, tags: TagBatch, i: int, rows: Array, L: A
     d pixel / d laying error in T. False: a corner is not in front of the camera.
     """
     R_WT, p_WT, X = tags.R_WT[i], tags.p_WT[i], tags.corners_T[i]
-    R_CT, p_CT = np.empty((3, 3)), np.empty(3)
-    r, A, x_C, J = np.empty(8), np.empty((8, 3)), np.empty((4, 3)), np.empty((8, 6))
+    scratch = np.empty((16, 3))  # one allocation: this runs for every tag at every step
+    R_CT, p_CT, x_C, A = scratch[:3], scratch[3], scratch[4:8], scratch[8:]
     for a in range(3):
         p_CT[a] = 0.0
         for b in range(3):
             p_CT[a] += R_WC[b, a] * (p_WT[b] - p_WC[b])
             R_CT[a, b] = R_WC[0, a] * R_WT[0, b] + R_WC[1, a] * R_WT[1, b] + R_WC[2, a] * R_WT[2, b]
-    front = reprojection.residual(R_CT, p_CT, X, tags.corners_n[i], tags.J_px_n[i], r, A, x_C)
-    reprojection.camera_jacobian(A, R_WC, x_C, J)
+    front = reprojection.residual(
+        R_CT, p_CT, X, tags.corners_n[i], tags.J_px_n[i], rows[:, 0], A, x_C
+    )
+    reprojection.camera_jacobian(A, R_WC, x_C, rows[:, 1:])
     reprojection.tag_jacobian(A, R_CT, X, L)
-    for k in range(8):
-        rows[k, 0] = r[k]
-        for j in range(6):
-            rows[k, 1 + j] = J[k, j]
     return front
 
 
@@ -73,10 +71,14 @@ def residual_factor(L: Array, laying: Array, sigma_px: Array, factor: Array) -> 
     """Cholesky factor (8, 8) of S; L (8, 6), laying (6,) sigmas [m, rad], sigma_px (4,)."""
     for i in range(8):
         for j in range(i + 1):
-            v = 0.0
-            for k in range(6):
-                v += L[i, k] * laying[k] * laying[k] * L[j, k]
-            factor[i, j] = v
+            factor[i, j] = 0.0
+    for k in range(6):
+        variance = laying[k] * laying[k]
+        for i in range(8):
+            v = L[i, k] * variance
+            for j in range(i + 1):
+                factor[i, j] += v * L[j, k]
+    for i in range(8):
         factor[i, i] += sigma_px[i // 2] * sigma_px[i // 2]
     return cholesky(factor)
 
@@ -100,39 +102,44 @@ def mean_covariance(
 ) -> Array:
     """Covariance (6, 6) of the weighted mean of per-tag poses, at the mean pose.
 
-    P = sum w_i^2 (J_i^T S_i^-1 J_i)^-1 + D D^T over the used tags (k,), weight (k,) summing to 1, D
-    the mean's shift by one sigma of each systematic error; [p_WC in W, right rotation in C].
-    NaN where a tag lies behind the camera or is seen edge-on.
+    P = sum w_i^2 (H_i^-1 + G_i Sigma_i G_i^T) + D D^T over the used tags (k,), weight (k,) summing
+    to 1: H_i the information of the corners alone, by which per-tag poses are solved, G_i their
+    shift by the tag's laying error, D the mean's shift by one sigma of each systematic error;
+    [p_WC in W, right rotation in C]. NaN where a tag lies behind the camera or is seen edge-on.
     """
-    rows, L, factor, B = np.empty((8, 7)), np.empty((8, 6)), np.empty((8, 8)), np.empty((8, 3))
-    H, H_inv = np.empty((6, 6)), np.empty((6, 6))
-    P, D = np.zeros((6, 6)), np.zeros((6, SYSTEMATIC))
-    none = np.zeros(6)
+    rows, L, B = np.empty((8, 7)), np.empty((8, 6)), np.empty((8, 3))
+    H, H_inv, gain = np.empty((6, 6)), np.empty((6, 6)), np.empty(8)
+    P, D, G = np.zeros((6, 6)), np.zeros((6, SYSTEMATIC)), np.empty((6, 6))
     for at in range(len(used)):
         i, w = used[at], weight[at]
         good = tag_rows(R_WC, p_WC, tags, i, rows, L)
         systematic_rows(tags.offset_px[i], tags.floor, B)
-        laid, alone = rows[:, 1:].copy(), rows[:, 1:].copy()
-        good = residual_factor(L, tags.laying[i], tags.sigma_px[i], factor) and good
-        forward(factor, laid)
-        accumulate(laid, H)
-        good = inverse_spd(H, H_inv) and good
-        P += w * w * H_inv
-        residual_factor(L, none, tags.sigma_px[i], factor)  # the estimate weighs corners alone
-        forward(factor, alone)
-        forward(factor, B)
-        accumulate(alone, H)
-        good = inverse_spd(H, H_inv) and good
-        if not good:
+        for k in range(8):
+            rows[k] /= tags.sigma_px[i, k // 2]
+        accumulate(rows[:, 1:], H)
+        if not (inverse_spd(H, H_inv) and good):
             P[:] = np.nan
             return P
         for a in range(6):
             for k in range(8):
-                gain = 0.0
+                gain[k] = 0.0
                 for b in range(6):
-                    gain += H_inv[a, b] * alone[k, b]
-                for c in range(SYSTEMATIC):
-                    D[a, c] += w * gain * B[k, c]
+                    gain[k] += H_inv[a, b] * rows[k, 1 + b]
+                gain[k] /= tags.sigma_px[i, k // 2]
+            for b in range(6):
+                G[a, b] = 0.0
+                for k in range(8):
+                    G[a, b] += gain[k] * L[k, b]
+                G[a, b] *= tags.laying[i, b]
+            for c in range(SYSTEMATIC):
+                for k in range(8):
+                    D[a, c] += w * gain[k] * B[k, c]
+        for a in range(6):
+            for b in range(6):
+                v = H_inv[a, b]
+                for c in range(6):
+                    v += G[a, c] * G[b, c]
+                P[a, b] += w * w * v
     return P + D @ D.T
 
 

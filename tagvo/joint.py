@@ -15,14 +15,14 @@ from tagvo.compiled import backward, cholesky, forward, inverse_spd, njit, rotat
 from tagvo.geometry import Array
 from tagvo.information import SYSTEMATIC, TagBatch, residual_factor, systematic_rows, tag_rows
 
-_SETTLED = 1e-6  # squared length of the last step in sigmas
+_SETTLED = 1e-4  # squared length [sigmas] of a step that is taken as the last, unexamined
 _FAR = 100.0  # ten sigmas
 _WIDE, _STAGES = 3.0, 6
 _DECISIVE = 9.0  # in minus twice the log-likelihood
 _FEWEST_FOR_SHARE = 5
 
 
-class JointConfig(BaseModel, frozen=True, extra="forbid"):
+class JointConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Steps of Gauss-Newton, the robust loss (chi-square of a tag's 8 residuals), and whether the
     residuals may show that the map was laid better than it states (`laying_evidence`)."""
 
@@ -64,15 +64,21 @@ class _Work(NamedTuple):
 
 
 @njit
-def _evaluate(R: Array, p: Array, tags: TagBatch, limit: float, work: _Work) -> float:
-    """Robust cost at a pose, infinite where a tag is behind; writes H, g, chi2 and weight."""
+def _evaluate(R: Array, p: Array, tags: TagBatch, limit: float, anew: bool, work: _Work) -> float:
+    """Robust cost at a pose, infinite where a tag is behind; writes H, g, chi2 and weight.
+
+    anew: factorise each tag's residual covariance at this pose first.
+    """
     cost, rows, H, g = 0.0, work.rows, work.H, work.g
     H[:] = 0.0
     g[:] = 0.0
     for i in range(len(work.chi2)):
         if not tag_rows(R, p, tags, i, rows, work.L):
             return np.inf
-        forward(work.factors[i], rows)
+        factor = work.factors[i]
+        if anew and not residual_factor(work.L, tags.laying[i], tags.sigma_px[i], factor):
+            return np.inf
+        forward(factor, rows)
         d2 = 0.0
         for k in range(8):
             d2 += rows[k, 0] * rows[k, 0]
@@ -90,16 +96,6 @@ def _evaluate(R: Array, p: Array, tags: TagBatch, limit: float, work: _Work) -> 
         for b in range(a):
             H[b, a] = H[a, b]
     return cost
-
-
-@njit
-def _factorise(R: Array, p: Array, tags: TagBatch, work: _Work) -> bool:
-    """Cholesky factor of each tag's residual covariance at a pose."""
-    good = True
-    for i in range(len(work.chi2)):
-        good = tag_rows(R, p, tags, i, work.rows, work.L) and good
-        good = residual_factor(work.L, tags.laying[i], tags.sigma_px[i], work.factors[i]) and good
-    return good
 
 
 @njit
@@ -132,24 +128,31 @@ def _on_factors(other: _Work, work: _Work) -> _Work:
 
 @njit
 def _descend(
-    R: Array, p: Array, tags: TagBatch, limit: float, steps: int, work: _Work, other: _Work
+    R: Array,
+    p: Array,
+    tags: TagBatch,
+    limit: float,
+    steps: int,
+    cost: float,
+    work: _Work,
+    other: _Work,
 ) -> tuple[float, float, bool]:
-    """Levenberg-Marquardt on R, p in place; `work` ends at the minimum.
+    """Levenberg-Marquardt on R, p in place from where `work` was evaluated, at this cost.
 
     Returns the cost, how far it went (squared sigmas) and whether it settled.
     """
     R_new, p_new = np.empty((3, 3)), np.empty(3)
-    cost = _evaluate(R, p, tags, limit, work)
     damping, moved = 1e-9, 0.0
     if not np.isfinite(cost):
         return cost, moved, False
     for _ in range(steps):
         length = _step(R, p, work, damping, R_new, p_new)
         if 0.0 <= length < _SETTLED:
+            R[:], p[:] = R_new, p_new
             return cost, moved, True
         cost_new = np.inf
         if length >= 0.0:
-            cost_new = _evaluate(R_new, p_new, tags, limit, _on_factors(other, work))
+            cost_new = _evaluate(R_new, p_new, tags, limit, False, _on_factors(other, work))
         if cost_new <= cost:
             R[:], p[:], work.H[:], work.g[:] = R_new, p_new, other.H, other.g
             work.chi2[:], work.weight[:] = other.chi2, other.weight
@@ -185,13 +188,15 @@ def _minimise(
     """Descend on R, p in place from any start; returns the robust cost and whether it settled."""
     cost, settled = np.inf, False
     for _ in range(2):  # the residuals' covariance is that at the start; anew where it moved far
-        if not _factorise(R, p, tags, work):
-            return np.inf, False
         far = 0.0
-        for _stage in range(_STAGES):  # from a poor start the loss tightens step by step
-            _evaluate(R, p, tags, limit, work)
+        for stage in range(_STAGES):  # from a poor start the loss tightens step by step
+            cost = _evaluate(R, p, tags, limit, stage == 0, work)
+            if not np.isfinite(cost):
+                return np.inf, False
             wide = max(limit, _WIDE * np.median(work.chi2))
-            cost, moved, settled = _descend(R, p, tags, wide, steps, work, other)
+            if wide > limit:
+                cost = _evaluate(R, p, tags, wide, False, work)
+            cost, moved, settled = _descend(R, p, tags, wide, steps, cost, work, other)
             far += moved
             if wide == limit:
                 break
@@ -239,9 +244,9 @@ def _laying_share(
     best, share = _misfit_of_sigmas(cost, 0.0, work), 1.0
     for trial in (1.0 / 3.0, 0.1):
         scaled = _with_laying(tags, trial)
-        if not _factorise(R, p, scaled, other):
+        cost_trial = _evaluate(R, p, scaled, limit, True, other)
+        if not np.isfinite(cost_trial):
             break
-        cost_trial = _evaluate(R, p, scaled, limit, other)
         gain = _step(R, p, other, 1e-9, R_new, p_new)
         misfit = _misfit_of_sigmas(cost_trial, max(gain, 0.0), other)
         if not misfit < best - _DECISIVE:

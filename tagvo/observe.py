@@ -21,8 +21,10 @@ def observe(
     corners_n, J_px_n, valid = unproject(camera, det.corners_px)
     sigma = np.where(np.isnan(det.sigma_px), corner_px, det.sigma_px)
     obs = Observations(rows, det.tag_id, det.corners_px, corners_n, J_px_n, sigma)
+    if valid.all():
+        return obs, 0
     good = np.asarray(valid.all(axis=1))
-    return (obs, 0) if good.all() else (obs[good], int((~good).sum()))
+    return obs[good], int((~good).sum())
 
 
 def tag_batch(obs: Observations, tag_map: TagMap, camera: Camera, floor: FloorConfig) -> TagBatch:

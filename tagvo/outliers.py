@@ -15,7 +15,7 @@ _FEWEST = 3  # the paper: at least three elements
 _QUARTILE = {"hazen": (-0.5, 0.25), "linear": (-0.25, 0.25), "weibull": (-0.75, 0.25)}
 
 
-class IqrConfig(BaseModel, frozen=True, extra="forbid"):
+class IqrConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """How the interquartile range is taken; the paper gives the gain alone."""
 
     gain: PositiveFloat = 1.5

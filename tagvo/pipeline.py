@@ -113,9 +113,9 @@ class TagVO:
             found, self.tag_map, cfg.filters, self.camera.resolution
         )
         obs, counts["not_undistorted"] = observe(det, rows, self.camera, cfg.noise.corner_px)
-        trace = Trace(frame.t_ns, found, counts, obs)
         if not len(obs):
-            return replace(trace, reason="no_tags" if not len(found) else "no_usable_tags")
+            reason = "no_tags" if not len(found) else "no_usable_tags"
+            return Trace(frame.t_ns, found, counts, obs, reason=reason)
         tags, area = tag_batch(obs, self.tag_map, self.camera, cfg.floor), quad_area(obs.corners_px)
         tag_poses, candidates = self._tag_poses(obs, tags, area, prior)
         bodies = body_poses(obs, *candidates.taken(), area, self.tag_map, self.camera)
@@ -126,13 +126,20 @@ class TagVO:
         lap("select")
         fused, mean_flags = self._fuse(bodies, kept, tags)
         lap("fuse")
-        trace = replace(trace, tag_poses=tag_poses, candidates=candidates, bodies=bodies,
-                        selected=selected, kept=kept, fused=fused)  # fmt: skip
+        joint, pose, reason = None, None, "inconsistent"
         if cfg.pose == "fused":
-            return self._finish_fused(trace, fused, candidates, {*flags, *mean_flags})
-        trace = self._finish_joint(trace, fused, candidates, tags, area, prior)
-        lap("joint")
-        return trace
+            pose = measure_fused(
+                frame.t_ns, (fused.R_WC, fused.p_WC), fused.cov, obs.tag_id, kept, candidates,
+                {*flags, *mean_flags},
+            )  # fmt: skip
+        else:
+            reason = "all_rejected"
+            joint, pose = self._joint(frame.t_ns, fused, candidates, obs, tags, area, prior)
+            lap("joint")
+        return Trace(
+            frame.t_ns, found, counts, obs, tag_poses, candidates, bodies, selected, kept, fused,
+            joint, pose, None if pose else reason,
+        )  # fmt: skip
 
     def _detect(self, frame: Frame) -> Detections:
         """Tags of a frame that brings its own, or found in its image with a sigma each corner."""
@@ -149,14 +156,16 @@ class TagVO:
             )  # fmt: skip
         gray = gray_image(frame.image)
         found = self._detector.detect(gray)
-        if not cfg.noise.blur or not len(found):
+        if not len(found):
             return found
+        if not cfg.noise.blur:
+            return replace(found, sigma_px=np.full((len(found), 4), cfg.noise.image_px))
         cells = family.border_cells + 2 * (bits - 1)
         spread, cell = (
             edge_spread(gray, found.corners_px, cells),
             cell_width(found.corners_px, cells),
         )
-        return replace(found, sigma_px=corner_sigma(spread, cell, cfg.noise.corner_px))
+        return replace(found, sigma_px=corner_sigma(spread, cell, cfg.noise.image_px))
 
     def _tag_poses(
         self, obs: Observations, tags: TagBatch, area: Array, prior: PosePrior | None
@@ -180,30 +189,21 @@ class TagVO:
         cov = mean_covariance(R_WC, p_WC, tags, kept, weights / weights.sum())
         return FusedPose(p_WI, R_WI, p_WC, R_WC, cov, weights), flags
 
-    def _finish_fused(
-        self, trace: Trace, fused: FusedPose, candidates: Candidates, flags: set[str]
-    ) -> Trace:
-        assert trace.kept is not None
-        pose = measure_fused(
-            trace.t_ns, (fused.R_WC, fused.p_WC), fused.cov,
-            trace.observations.tag_id, trace.kept, candidates, flags,
-        )  # fmt: skip
-        return replace(trace, pose=pose, reason=None if pose else "inconsistent")
-
-    def _finish_joint(
+    def _joint(
         self,
-        trace: Trace,
+        t_ns: int,
         fused: FusedPose,
         candidates: Candidates,
+        obs: Observations,
         tags: TagBatch,
         area: Array,
         prior: PosePrior | None,
-    ) -> Trace:
+    ) -> tuple[JointPose, PoseMeasurement | None]:
+        """The joint pose from the fused one as its start, and the measurement it makes."""
         cfg = self.config
         judge = prior if cfg.ambiguity == "prior" else None
         joint, rival, gap = best_joint(
             (fused.R_WC, fused.p_WC), tags, candidates, area, cfg.joint, judge
         )
-        ids = trace.observations.tag_id
-        pose = measure_joint(trace.t_ns, joint, rival, gap, ids, cfg.joint.reject_weight)
-        return replace(trace, joint=joint, pose=pose, reason=None if pose else "all_rejected")
+        reject = cfg.joint.reject_weight
+        return joint, measure_joint(t_ns, joint, rival, gap, obs.tag_id, reject)

@@ -4,6 +4,8 @@ IPPE for squares (Collins and Bartoli, IJCV 2014) on normalised coordinates, the
 pixels for both solutions, so that the covariance is that of the estimate.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from tagvo import reprojection
@@ -13,6 +15,23 @@ from tagvo.records import Observations, TagPoses
 
 _DAMPING = 1e-6  # a trace of Levenberg damping: a tag seen edge-on must not blow up
 _MAX_TURN = 0.5  # rad
+
+
+class _Work(NamedTuple):
+    """Scratch of one tag: r (8,), A (8, 3), J (8, 6), x_C (4, 3); of a step: two gradients (6,),
+    the step b (6, 1), the new pose R (3, 3), p (3,), its information H and a factor L (6, 6)."""
+
+    r: Array
+    A: Array
+    J: Array
+    x_C: Array
+    g: Array
+    g_new: Array
+    b: Array
+    R_new: Array
+    p_new: Array
+    H_new: Array
+    L: Array
 
 
 @njit
@@ -46,17 +65,14 @@ def ippe_rotations(x: Array, J: Array, R_CT: Array) -> None:
     norm = np.sqrt(1.0 + x[0] * x[0] + x[1] * x[1])
     c, sx, sy = 1.0 / norm, x[0] / norm, x[1] / norm
     k = 1.0 / (1.0 + c)
-    Rv = np.array(  # turns the z axis to the line of sight (x, 1)
-        [
-            [1.0 - k * sx * sx, -k * sx * sy, sx],
-            [-k * sx * sy, 1.0 - k * sy * sy, sy],
-            [-sx, -sy, c],
-        ]
-    )
+    scratch = np.empty((8, 3))
+    Rv, local, A = scratch[:3], scratch[3:6], scratch[6:, :2]
+    Rv[0, 0], Rv[0, 1], Rv[0, 2] = 1.0 - k * sx * sx, -k * sx * sy, sx  # turns the z axis to the
+    Rv[1, 0], Rv[1, 1], Rv[1, 2] = -k * sx * sy, 1.0 - k * sy * sy, sy  # line of sight (x, 1)
+    Rv[2, 0], Rv[2, 1], Rv[2, 2] = -sx, -sy, c
     b00, b01 = Rv[0, 0] - x[0] * Rv[2, 0], Rv[0, 1] - x[0] * Rv[2, 1]
     b10, b11 = Rv[1, 0] - x[1] * Rv[2, 0], Rv[1, 1] - x[1] * Rv[2, 1]
     det = b00 * b11 - b01 * b10
-    A = np.empty((2, 2))
     for j in range(2):
         A[0, j] = (b11 * J[0, j] - b01 * J[1, j]) / det
         A[1, j] = (b00 * J[1, j] - b10 * J[0, j]) / det
@@ -68,10 +84,10 @@ def ippe_rotations(x: Array, J: Array, R_CT: Array) -> None:
     b1 = np.sqrt(max(1.0 - A[0, 1] ** 2 - A[1, 1] ** 2, 0.0))
     if A[0, 0] * A[0, 1] + A[1, 0] * A[1, 1] > 0.0:
         b1 = -b1
-    local = np.empty((3, 3))
     for s in range(2):
         sign = 1.0 if s == 0 else -1.0
-        local[:2, :2] = A
+        for i in range(2):
+            local[i, 0], local[i, 1] = A[i, 0], A[i, 1]
         local[2, 0], local[2, 1] = sign * b0, sign * b1
         local[0, 2] = local[1, 0] * local[2, 1] - local[2, 0] * local[1, 1]
         local[1, 2] = local[2, 0] * local[0, 1] - local[0, 0] * local[2, 1]
@@ -103,19 +119,27 @@ def translation(R_CT: Array, X: Array, corners_n: Array, p_CT: Array) -> None:
 
 @njit
 def _normal_equations(
-    R: Array, p: Array, X: Array, x_n: Array, J_px_n: Array, w: Array, H: Array, g: Array, W: Array
+    R: Array,
+    p: Array,
+    X: Array,
+    x_n: Array,
+    J_px_n: Array,
+    w: Array,
+    H: Array,
+    g: Array,
+    work: _Work,
 ) -> tuple[float, float]:
     """Information H (6, 6), gradient g (6,); returns whitened cost and sum of squares [px^2].
 
-    W (24, 8) is scratch. The costs are infinite where a corner is not in front of the camera.
+    The costs are infinite where a corner is not in front of the camera.
     """
-    r, A, J, x_C = W[0], W[1:9, :3], W[9:17, :6], W[17:21, :3]
-    front = reprojection.residual(R, p, X, x_n, J_px_n, r, A, x_C)
-    reprojection.tag_jacobian(A, R, X, J)
+    r, J = work.r, work.J
+    front = reprojection.residual(R, p, X, x_n, J_px_n, r, work.A, work.x_C)
+    reprojection.tag_jacobian(work.A, R, X, J)
     cost, square = 0.0, 0.0
     for i in range(6):
         g[i] = 0.0
-        for j in range(6):
+        for j in range(i + 1):
             H[i, j] = 0.0
     for row in range(8):
         ww = w[row // 2] * w[row // 2]
@@ -135,6 +159,29 @@ def _normal_equations(
 
 
 @njit
+def _step(R: Array, p: Array, H: Array, work: _Work) -> bool:
+    """Damped Gauss-Newton step of a pose and its H and work.g into work.R_new, work.p_new."""
+    L, b = work.L, work.b
+    for i in range(6):
+        for j in range(i + 1):
+            L[i, j] = H[i, j]
+        L[i, i] = H[i, i] * (1.0 + _DAMPING) + 1e-9
+        b[i, 0] = work.g[i]
+    if not cholesky(L):
+        return False
+    forward(L, b)
+    backward(L, b)
+    turn = np.sqrt(b[3, 0] ** 2 + b[4, 0] ** 2 + b[5, 0] ** 2)
+    scale = min(1.0, _MAX_TURN / max(turn, 1e-12))  # far outside the quadratic region
+    for i in range(6):
+        b[i, 0] *= scale
+    rotated(R, b[3:, 0], work.R_new)
+    for i in range(3):
+        work.p_new[i] = p[i] + R[i, 0] * b[0, 0] + R[i, 1] * b[1, 0] + R[i, 2] * b[2, 0]
+    return True
+
+
+@njit
 def _refine(
     R: Array,
     p: Array,
@@ -144,37 +191,22 @@ def _refine(
     w: Array,
     steps: int,
     H: Array,
-    W: Array,
+    work: _Work,
 ) -> float:
     """Gauss-Newton steps on R, p in place while they lower the cost; H (6, 6) at the end.
 
-    W (40, 8) is scratch; returns the sum of squared residuals [px^2].
+    Returns the sum of squared residuals [px^2].
     """
-    g, g_new, b = W[24, :6], W[25, :6], W[26:32, :1]
-    R_new, p_new, L = W[32:35, :3], W[35, :3], np.empty((6, 6))
-    H_new = np.empty((6, 6))
-    cost, square = _normal_equations(R, p, X, x_n, J_px_n, w, H, g, W)
+    cost, square = _normal_equations(R, p, X, x_n, J_px_n, w, H, work.g, work)
     for _ in range(steps):
-        for i in range(6):
-            for j in range(i + 1):
-                L[i, j] = H[i, j]
-            L[i, i] = H[i, i] * (1.0 + _DAMPING) + 1e-9
-            b[i, 0] = g[i]
-        if not cholesky(L):
+        if not _step(R, p, H, work):
             break
-        forward(L, b)
-        backward(L, b)
-        turn = np.sqrt(b[3, 0] ** 2 + b[4, 0] ** 2 + b[5, 0] ** 2)
-        scale = min(1.0, _MAX_TURN / max(turn, 1e-12))  # far outside the quadratic region
-        for i in range(6):
-            b[i, 0] *= scale
-        rotated(R, b[3:, 0], R_new)
-        for i in range(3):
-            p_new[i] = p[i] + R[i, 0] * b[0, 0] + R[i, 1] * b[1, 0] + R[i, 2] * b[2, 0]
-        cost_new, square_new = _normal_equations(R_new, p_new, X, x_n, J_px_n, w, H_new, g_new, W)
+        cost_new, square_new = _normal_equations(
+            work.R_new, work.p_new, X, x_n, J_px_n, w, work.H_new, work.g_new, work
+        )
         if not cost_new < cost:
             break
-        R[:], p[:], H[:], g[:] = R_new, p_new, H_new, g_new
+        R[:], p[:], H[:], work.g[:] = work.R_new, work.p_new, work.H_new, work.g_new
         square, settled = square_new, cost - cost_new < 1e-6 * cost
         cost = cost_new
         if settled:
@@ -189,7 +221,11 @@ def _solve_all(
     n = len(size)
     p, R = np.empty((n, 2, 3)), np.empty((n, 2, 3, 3))
     rms, cov = np.empty((n, 2)), np.empty((n, 2, 6, 6))
-    centre, J, H, W = np.empty(2), np.empty((2, 2)), np.empty((2, 6, 6)), np.empty((40, 8))
+    centre, J, H = np.empty(2), np.empty((2, 2)), np.empty((2, 6, 6))
+    work = _Work(
+        np.empty(8), np.empty((8, 3)), np.empty((8, 6)), np.empty((4, 3)), np.empty(6), np.empty(6),
+        np.empty((6, 1)), np.empty((3, 3)), np.empty(3), np.empty((6, 6)), np.empty((6, 6)),
+    )  # fmt: skip
     R_s, p_s, w, square = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(4), np.empty(2)
     for i in range(n):
         homography_at_centre(x_n[i], size[i], centre, J)
@@ -198,7 +234,7 @@ def _solve_all(
             w[c] = 1.0 / sigma_px[i, c]
         for s in range(2):
             translation(R_s[s], X[i], x_n[i], p_s[s])
-            square[s] = _refine(R_s[s], p_s[s], X[i], x_n[i], J_px_n[i], w, steps, H[s], W)
+            square[s] = _refine(R_s[s], p_s[s], X[i], x_n[i], J_px_n[i], w, steps, H[s], work)
         first = 0 if square[0] <= square[1] else 1
         for s in range(2):
             k = first if s == 0 else 1 - first

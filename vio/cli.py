@@ -8,12 +8,14 @@ from tagvo.errors import TagvoError
 from vio.commands import compare, run
 from vio.commands import map as map_commands
 from vio.errors import VioError
+from vio.interrupt import interruptible
 
 app = typer.Typer(
     name="tagvio",
     help="Visual-inertial localization for indoor UAVs over a map of fiducial tags.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # plain help wraps its paragraphs and keeps [s]
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 app.command("run")(run.command)
@@ -35,7 +37,8 @@ def _main(
 def main() -> None:
     """Entry point: a known error is one line on stderr and exit code 1, a bug its traceback."""
     try:
-        app()
+        with interruptible():
+            app()
     except (TagvoError, VioError, OSError) as err:
         text = " ".join(str(err).split())
         typer.echo(f"tagvio: {text}", err=True)

@@ -14,7 +14,7 @@ _IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (
 Row = tuple[float, float, float, float]
 
 
-class VehicleConfig(BaseModel, frozen=True, extra="forbid"):
+class VehicleConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """T_BI: the IMU in the vehicle's body (FLU), a rigid 4x4; identity where I is the body."""
 
     T_BI: tuple[Row, Row, Row, Row] = _IDENTITY

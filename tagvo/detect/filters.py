@@ -49,7 +49,7 @@ def _runs_clockwise(quad: Array) -> bool:
             return False
     d1x, d1y = quad[2, 0] - quad[0, 0], quad[2, 1] - quad[0, 1]
     d2x, d2y = quad[3, 0] - quad[1, 0], quad[3, 1] - quad[1, 1]
-    return d1x * d2y - d1y * d2x > 0.0
+    return bool(d1x * d2y - d1y * d2x > 0.0)
 
 
 @njit
@@ -64,10 +64,10 @@ def _shortest_side(quad: Array) -> float:
 @njit
 def _within(quad: Array, width: float, height: float, edge_px: float) -> bool:
     low, right, bottom = edge_px - 0.5, width - 0.5 - edge_px, height - 0.5 - edge_px
+    inside = True
     for k in range(4):
-        if not (low <= quad[k, 0] <= right and low <= quad[k, 1] <= bottom):
-            return False
-    return True
+        inside = inside and low <= quad[k, 0] <= right and low <= quad[k, 1] <= bottom
+    return inside
 
 
 @njit

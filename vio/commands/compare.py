@@ -9,6 +9,8 @@ from vio.commands import options as opt
 
 if TYPE_CHECKING:
     from vio.commands.replay_log import Replayed
+    from vio.evaluate.records import Window
+    from vio.sources.log import FlightLog
 
 Align = Literal["none", "yaw", "se3"]
 
@@ -25,7 +27,9 @@ def command(
     every: opt.Every = 1,
     blackout: opt.Blackout = None,
     latency: opt.Latency = 0.0,
-    skip: float = typer.Option(0.0, "--skip", metavar="S", min=0.0, help="Judge from S s on."),
+    skip: float = typer.Option(
+        0.0, "--skip", metavar="S", min=0.0, max=1e9, help="Judge from S seconds on."
+    ),
     align: Align = typer.Option("none", "--align", help="Align to truth before judging."),
 ) -> None:
     """Compare estimators on one log against its truth.
@@ -39,17 +43,20 @@ def command(
         blackout, latency,
     )  # fmt: skip
     from vio.commands.replay_log import replay_log, vo_arms
-    from vio.errors import EvaluationError
 
-    done = replay_log(choice, lambda flight, cfg: vo_arms(flight, cfg))
-    if done.log.truth is None:
-        raise EvaluationError(
-            f"{log}: no truth to compare with;"
-            " mav0/state_groundtruth_estimate0/data.csv is needed (`tagvio run` needs none)"
-        )
+    done = replay_log(choice, vo_arms, needs_truth=True)
     _judge(done, out, skip, align)
     if done.result.interrupted:
         raise typer.Exit(130)
+
+
+def _window(log: "FlightLog", skip: float) -> "Window":
+    """From `skip` seconds to the log's end, where a camera's clock is moved to the IMU's."""
+    from vio.evaluate.records import Window
+
+    shift_ns = round(log.camera.timeshift_s * 1e9)
+    start = log.t0_ns if log.imu is not None else log.t0_ns + shift_ns
+    return Window(start + round(skip * 1e9), max(log.end_ns, log.end_ns + shift_ns))
 
 
 def _judge(done: "Replayed", out: Path, skip: float, align: Align) -> None:
@@ -58,7 +65,6 @@ def _judge(done: "Replayed", out: Path, skip: float, align: Align) -> None:
 
     from vio.commands.replay_log import frame_counts, run_summary
     from vio.evaluate.compare import comparison, table, write_json
-    from vio.evaluate.records import Window
     from vio.evaluate.report import Extra, write_report
     from vio.run import trajectory, tum_rows
     from vio.sinks.tum import write_tum
@@ -66,9 +72,10 @@ def _judge(done: "Replayed", out: Path, skip: float, align: Align) -> None:
     log, result = done.log, done.result
     assert log.truth is not None
     trajectories = [trajectory(name, outputs) for name, outputs in result.outputs.items()]
-    start, end = log.t0_ns + round(skip * 1e9), log.end_ns
+    window = _window(log, skip)
     content = comparison(
-        trajectories, log.truth, align=align, t_start_ns=start, t_end_ns=end,
+        trajectories, log.truth, align=align,
+        t_start_ns=window.t_start_ns, t_end_ns=window.t_end_ns,
         frames=frame_counts(result), timing_ms=done.timing_ms,
     )  # fmt: skip
     for one in trajectories:
@@ -76,7 +83,7 @@ def _judge(done: "Replayed", out: Path, skip: float, align: Align) -> None:
     write_json(out / "comparison.json", content)
     write_json(out / "run.json", run_summary(done))
     extra = Extra(
-        f"tagvio compare {log.path.name}", Window(start, end), t_zero_ns=log.t0_ns,
+        f"tagvio compare {log.path.name}", window, t_zero_ns=log.t0_ns,
         tags_t_ns=np.array(result.tags_t_ns, dtype=np.int64),
         tags_count=np.array(result.tags_count, dtype=np.int64), notes=tuple(log.warnings),
     )  # fmt: skip

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -41,7 +42,9 @@ Every = Annotated[int, typer.Option("--every", metavar="N", help="Use every N-th
 Blackout = Annotated[
     str | None,
     typer.Option(
-        "--blackout", metavar="PERIOD,LENGTH", help="No frames while (t mod PERIOD) < LENGTH [s]."
+        "--blackout",
+        metavar="PERIOD,LENGTH",
+        help="No frames while t mod PERIOD < LENGTH, in seconds.",
     ),
 ]
 Latency = Annotated[
@@ -66,20 +69,39 @@ class Choice:
 
 
 def open_all(choice: Choice) -> "tuple[FlightLog, Config]":
-    """The log and the configuration of a call; wrong texts of options are wrong usage."""
+    """The log and the configuration of a call; wrong texts of options are wrong usage.
+
+    The folder for the results is made first: a long run must not end for want of it.
+    """
     from vio.config import load_config
     from vio.sources.log import FlightLog
 
+    ids, blackout = _ids(choice.only_tags), _pair(choice.blackout)
+    make_folder(choice.out)
     log = FlightLog.open(
         choice.log,
         imu=choice.imu,
         use_detections=choice.detections,
-        only_tags=_ids(choice.only_tags),
+        only_tags=ids,
         every=choice.every,
-        blackout=_pair(choice.blackout),
+        blackout=blackout,
         latency_s=choice.latency,
     )
     return log, load_config(choice.config or log.config_path, choice.assignments)
+
+
+def make_folder(path: Path) -> None:
+    """Make the folder for results; VioError where it cannot be, or cannot be written."""
+    from vio.errors import VioError
+
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=path):
+            pass
+    except OSError as err:
+        raise VioError(
+            f"--out {path}: {err.strerror or err}; a folder that can be written is needed"
+        ) from None
 
 
 def _ids(text: str | None) -> list[int] | None:
@@ -88,7 +110,9 @@ def _ids(text: str | None) -> list[int] | None:
     try:
         return [int(word) for word in text.split(",") if word.strip()]
     except ValueError:
-        raise typer.BadParameter(f"{text!r}; tag ids with commas are needed, as 14,15,20") from None
+        raise typer.BadParameter(
+            f"{text!r}; tag ids with commas are needed, as 14,15,20", param_hint="--only-tags"
+        ) from None
 
 
 def _pair(text: str | None) -> tuple[float, float] | None:
@@ -97,8 +121,19 @@ def _pair(text: str | None) -> tuple[float, float] | None:
     try:
         period, length = (float(word) for word in text.split(","))
     except ValueError:
-        raise typer.BadParameter(f"{text!r}; PERIOD,LENGTH in seconds is needed, as 3,1") from None
+        raise typer.BadParameter(
+            f"{text!r}; PERIOD,LENGTH in seconds is needed, as 3,1", param_hint="--blackout"
+        ) from None
     return period, length
+
+
+@contextmanager
+def waiting(what: str) -> Iterator[None]:
+    """Say on stderr what a person who watches is waiting for."""
+    from rich.console import Console
+
+    with Console(stderr=True).status(what):
+        yield
 
 
 @contextmanager

@@ -1,15 +1,18 @@
 """What `run` and `compare` do alike: a log through tagvo and its arms, and the files they leave."""
 
+from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from tagvo.pipeline import TagVO
 from vio.arms import Estimator, VoArm, VoFirArm
-from vio.commands.options import Choice, open_all, progress
+from vio.commands.options import Choice, open_all, progress, waiting
 from vio.config import Config
+from vio.errors import EvaluationError
 from vio.run import RunResult, run
 from vio.sources.log import FlightLog
 from vio.stopwatch import Stopwatch
+from vio.warmup import warm_up
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -26,10 +29,20 @@ class Replayed:
 
 
 def replay_log(
-    choice: Choice, arms: "Callable[[FlightLog, Config], Sequence[Estimator]]"
+    choice: Choice,
+    arms: "Callable[[FlightLog, Config], Sequence[Estimator]]",
+    *,
+    needs_truth: bool = False,
 ) -> Replayed:
     """Run a log as the options say through the arms made for it."""
     log, config = open_all(choice)
+    if needs_truth and log.truth is None:
+        raise EvaluationError(
+            f"{log.path}: no truth to compare with;"
+            " mav0/state_groundtruth_estimate0/data.csv is needed (`tagvio run` needs none)"
+        )
+    with waiting("loading compiled code (the first run compiles it, up to a minute)"):
+        warm_up(log.camera, config.tagvo)
     watch = Stopwatch()
     vo = TagVO(log.camera, log.tag_map, config.tagvo, lap=watch.lap)
     with progress(log.frame_count, "frames") as step:
@@ -62,14 +75,7 @@ def run_summary(done: Replayed) -> dict[str, Any]:
         "rejected": dict(sorted(result.reasons.items())),
         "states": {},
         "timing_ms": done.timing_ms,
-        "counters": dict(sorted((result.counters + done_faults(done)).items())),
+        "counters": dict(sorted((result.counters + Counter(done.log.counters)).items())),
         "warnings": done.log.warnings,
         "interrupted": result.interrupted,
     }
-
-
-def done_faults(done: Replayed) -> Any:
-    """The faults that the log reader met, by cause."""
-    from collections import Counter
-
-    return Counter(done.log.counters)

@@ -34,7 +34,7 @@ def command(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip
-    done = replay_log(choice, lambda flight, cfg: vo_arms(flight, cfg))
+    done = replay_log(choice, vo_arms)
     name = "vo" if done.config.tagvo.fir == "none" else "vo_fir"
     write_tum(out / "vo.tum", *tum_rows(trajectory(name, done.result.outputs[name])))
     summary = run_summary(done)

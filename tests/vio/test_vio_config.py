@@ -1,0 +1,130 @@
+"""Configuration: the shipped files say what they claim; every wrong key or value is named."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from tagvo.camera_io import load_camera
+from tagvo.config import TagvoConfig, load_tagvo_config
+from tagvo.errors import ConfigError
+from vio.config import Config, load_config
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+PAPER = {  # the paper's columns: select, outliers, weights, mean
+    "JBT": ("JBT", "none", "W2", "QL2"),
+    "ALL-notOR": ("ALL", "none", "W2", "QL2"),
+    "ALL-OR": ("ALL", "iqr", "W2", "QL2"),
+    "TBS-notOR": ("TBS", "none", "W2", "QL2"),
+    "TBS-OR": ("TBS", "iqr", "W2", "QL2"),
+    "TBS-OR-W1-CL2": ("TBS", "iqr", "W1", "CL2"),
+    "TBS-OR-W2-CL2": ("TBS", "iqr", "W2", "CL2"),
+    "TBS-OR-W1-QL2": ("TBS", "iqr", "W1", "QL2"),
+    "NEW": ("TBS", "iqr", "W2", "QL2"),
+}
+
+
+def leaves(data, path=()):
+    """Every key of a nested mapping as a dotted name, with its value."""
+    if isinstance(data, dict):
+        return {k: v for key in data for k, v in leaves(data[key], (*path, key)).items()}
+    return {".".join(path): data}
+
+
+def test_arena_yaml_holds_every_key_at_its_default():
+    written = leaves(yaml.safe_load((CONFIGS / "arena.yaml").read_text()))
+    assert written == leaves(Config().model_dump(mode="json"))
+    assert load_config(CONFIGS / "arena.yaml") == Config()
+
+
+def test_every_key_of_arena_yaml_has_a_comment():
+    lines = (CONFIGS / "arena.yaml").read_text().splitlines()
+    bare = [line for line in lines if ":" in line and "#" not in line]
+    assert bare == []
+
+
+def test_every_paper_variant_is_four_strings():
+    assert {p.stem for p in (CONFIGS / "paper").glob("*.yaml")} == set(PAPER)
+    for name, strings in PAPER.items():
+        cfg = load_config(CONFIGS / "paper" / f"{name}.yaml").tagvo
+        assert (cfg.select, cfg.outliers, cfg.weights, cfg.mean) == strings
+        same = {"select": "TBS", "outliers": "iqr", "weights": "W2", "mean": "QL2"}
+        rest = cfg.model_copy(update=same)
+        assert rest == TagvoConfig(pose="fused", ambiguity="first"), name
+        assert load_tagvo_config(CONFIGS / "paper" / f"{name}.yaml") == cfg
+
+
+def test_arena_camera_looks_down_from_its_mount():
+    camera = load_camera(CONFIGS / "cameras" / "arena.yaml")
+    R_IC, p_IC = camera.R_CI.T, -camera.R_CI.T @ camera.p_CI
+    np.testing.assert_allclose(p_IC, [0.10, 0.0, -0.05], atol=1e-12)
+    np.testing.assert_allclose(R_IC @ [0, 0, 1], [0, 0, -1], atol=1e-12)  # looks down
+    np.testing.assert_allclose(R_IC @ [0, -1, 0], [1, 0, 0], atol=1e-12)  # image top: ahead
+    np.testing.assert_allclose(R_IC @ [1, 0, 0], [0, -1, 0], atol=1e-12)  # image right: right
+    assert camera.resolution == (640, 480)
+    assert 2 * np.degrees(np.arctan(320 / camera.intrinsics[0])) == pytest.approx(62, abs=0.5)
+
+
+def test_assignments_overrule_the_file_and_the_last_one_wins(tmp_path):
+    path = tmp_path / "c.yaml"
+    path.write_text("tagvo:\n  select: JBT\n  iqr:\n    gain: 2.0\n    floor_m: 0.01\n")
+    cfg = load_config(path, ["tagvo.iqr.gain=3", "tagvo.mean=CL2", "tagvo.iqr.gain=4e0"]).tagvo
+    assert (cfg.select, cfg.mean) == ("JBT", "CL2")
+    assert (cfg.iqr.gain, cfg.iqr.floor_m) == (4.0, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("assignment", "says"),
+    [
+        ("tagvo.poze=joint", ["tagvo", "unknown 'poze'", "pose, select, outliers"]),
+        ("tagvo.iqr.gian=2", ["tagvo.iqr", "unknown 'gian'", "gain, quartiles, floor_m"]),
+        ("tagwo.pose=joint", ["unknown 'tagwo'", "tagvo, vehicle"]),
+        ("tagvo.pose=both", ["tagvo.pose", "unknown 'both'", "fused, joint"]),
+        ("tagvo.iqr.gain=-1", ["tagvo.iqr.gain", "-1", "greater than 0"]),
+        ("tagvo.iqr.gain=.nan", ["tagvo.iqr.gain", "nan"]),
+        ("tagvo.fir_gap_s=.inf", ["tagvo.fir_gap_s", "inf", "1000000"]),
+        ("tagvo.noise.corner_px=.inf", ["tagvo.noise.corner_px", "inf", "1000"]),
+        ("tagvo.iqr=3", ["tagvo.iqr", "3", "mapping"]),
+        ("tagvo.iqr.gain.x=1", ["tagvo.iqr.gain", "number"]),
+        ("tagvo.refine=99", ["tagvo.refine", "99", "10"]),
+        ("tagvo.pose", ["KEY.KEY=VALUE"]),
+        ("=1", ["KEY.KEY=VALUE"]),
+        ("tagvo..pose=joint", ["KEY.KEY=VALUE"]),
+        ("tagvo.pose=[", ["not valid YAML"]),
+        ("vehicle.T_BI=[[1,0,0,0],[0,1,0,0],[0,0,-1,0],[0,0,0,1]]", ["T_BI", "rotation"]),
+        ("vehicle.T_BI=[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,2]]", ["T_BI", "0 0 0 1"]),
+        ("vehicle.T_BI=[[1,0,0,.nan],[0,1,0,0],[0,0,1,0],[0,0,0,1]]", ["T_BI", "finite"]),
+    ],
+)
+def test_a_wrong_assignment_is_named_with_what_is_allowed(assignment, says):
+    with pytest.raises(ConfigError) as caught:
+        load_config(None, [assignment])
+    text = str(caught.value)
+    assert all(part in text for part in [f"--set {assignment}", *says]), text
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("", "empty"),
+        ("- a\n", "mapping"),
+        ("tagvo: 3\n", "mapping"),
+        ("tagvo:\n  pose: 3\n", "fused, joint"),
+        ("tagvo: [\n", "not valid YAML"),
+        ("tagvo:\n  nope: 3\n", "unknown 'nope'"),
+    ],
+)
+def test_a_wrong_file_is_named(tmp_path, content, says):
+    path = tmp_path / "c.yaml"
+    path.write_text(content)
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert str(path) in str(caught.value)
+    assert says in str(caught.value)
+
+
+def test_a_mapping_given_twice_is_merged_not_replaced():
+    cfg = load_config(None, ["tagvo={select: ALL}", "tagvo.mean=CL2"]).tagvo
+    assert (cfg.select, cfg.mean) == ("ALL", "CL2")

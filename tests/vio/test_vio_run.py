@@ -1,0 +1,129 @@
+"""The loop: what it counts, in which order it feeds, and what is left when it is stopped."""
+
+import numpy as np
+import pytest
+from simulated import DOWN, grid_map, pinhole, shot
+
+from tagvo import geometry as geo
+from tagvo.pipeline import TagVO
+from tagvo.records import Detections, Frame
+from vio.arms import Output, VoArm
+from vio.records import ImuSample
+from vio.run import run, trajectory, tum_rows
+from vio.stopwatch import Stopwatch
+from vio.warmup import warm_up
+
+EMPTY = Detections.of(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)))
+
+
+class Spy:
+    """An estimator that keeps what it is given and answers at once."""
+
+    name = "spy"
+
+    def __init__(self):
+        self.seen = []
+
+    def imu(self, sample):
+        self.seen.append(("imu", sample.t_ns))
+        return Output(sample.t_ns, sample.arrival_ns, np.zeros(3), np.eye(3))
+
+    def pose(self, frame, measured):
+        self.seen.append(("frame" if measured else "blind", frame.t_ns))
+        return None
+
+
+@pytest.fixture(scope="module")
+def vo():
+    return TagVO(pinhole(), grid_map())
+
+
+def frame(vo, t_ns):
+    rng = np.random.default_rng(0)
+    p_WC = np.array([0.0, 0.0, 0.8])
+    true = shot(vo.tag_map, vo.camera, DOWN, p_WC, rng, noise_px=0.0, lay=False)
+    return Frame(t_ns, detections=true.frame.detections)
+
+
+def sample(t_ns):
+    return ImuSample(t_ns, np.zeros(3), np.zeros(3), t_ns + 1)
+
+
+def test_every_event_reaches_every_estimator_in_the_order_of_the_source(vo):
+    spies, steps = [Spy(), Spy()], []
+    spies[1].name = "other"
+    events = [sample(1), frame(vo, 2), sample(3), Frame(4, detections=EMPTY), sample(5)]
+    result = run(events, vo, spies, Stopwatch(), lambda: steps.append(1))
+    order = [("imu", 1), ("frame", 2), ("imu", 3), ("blind", 4), ("imu", 5)]
+    assert spies[0].seen == spies[1].seen == order
+    assert len(steps) == result.frames == 2
+    assert (result.with_pose, result.imu) == (1, 3)
+    assert result.reasons == {"no_tags": 1}
+    assert result.tags_t_ns == [2, 4]
+    assert result.tags_count[1] == 0 < result.tags_count[0]
+    assert [o.t_ns for o in result.outputs["spy"]] == [1, 3, 5]
+
+
+def test_ctrl_c_ends_the_loop_and_keeps_what_came(vo):
+    def events():
+        yield frame(vo, 1)
+        yield frame(vo, 2)
+        raise KeyboardInterrupt
+
+    result = run(events(), vo, [VoArm(vo.camera)], Stopwatch())
+    assert result.interrupted
+    assert [o.t_ns for o in result.outputs["vo"]] == [1, 2]
+
+
+def test_trajectories_keep_the_order_of_arrival_and_tum_rows_that_of_time():
+    R = [geo.exp(np.array([0.0, 0.0, a])) for a in (0.1, 0.2, 0.3)]
+    outputs = [
+        Output(t, k, np.full(3, t), R[i]) for i, (t, k) in enumerate([(5, 6), (3, 7), (5, 8)])
+    ]
+    one = trajectory("x", outputs)
+    assert one.t_ns.tolist() == [5, 3, 5]
+    assert one.known_ns.tolist() == [6, 7, 8]
+    t_ns, p_WI, q_WI = tum_rows(one)
+    assert t_ns.tolist() == [3, 5, 5]
+    np.testing.assert_allclose(geo.matrix_from_quat(q_WI), [R[1], R[0], R[2]], atol=1e-12)
+    assert p_WI[:, 0].tolist() == [3, 5, 5]
+
+
+def test_velocity_and_covariance_are_kept_only_where_every_output_has_them():
+    full = Output(1, 1, np.zeros(3), np.eye(3), np.ones(3), np.eye(6))
+    bare = Output(2, 2, np.zeros(3), np.eye(3))
+    assert trajectory("x", [full, full]).v_WI.shape == (2, 3)
+    assert trajectory("x", [full, full]).cov.shape == (2, 6, 6)
+    mixed = trajectory("x", [full, bare])
+    assert mixed.v_WI is None
+    assert mixed.cov is None
+    empty = trajectory("x", [])
+    assert empty.p_WI.shape == (0, 3)
+    assert empty.R_WI.shape == (0, 3, 3)
+
+
+@pytest.mark.parametrize("size", [(64, 48), (640, 480), (4000, 3000)])
+def test_the_warm_up_gives_a_pose_whatever_the_camera_and_the_filters(size):
+    from tagvo.config import TagvoConfig
+    from tagvo.detect.filters import FilterConfig
+
+    width, height = size
+    strict = FilterConfig.model_validate({"min_side_px": 1000.0, "edge_px": 100.0})
+    for pose in ("joint", "fused"):
+        config = TagvoConfig(pose=pose, filters=strict)
+        made = warm_up(pinhole(0.8 * width, width, height), config)
+        np.testing.assert_allclose(made.p_WC, [0.0, 0.0, 1.0], atol=1e-6)
+
+
+def test_the_stopwatch_measures_each_stage_and_the_whole():
+    watch = Stopwatch()
+    for _ in range(3):
+        watch.start()
+        watch.lap("detect")
+        watch.lap("joint")
+        watch.stop()
+    times = watch.summary()
+    assert list(times) == ["detect", "joint", "total"]
+    assert all(0.0 <= t["p50"] <= t["p99"] for t in times.values())
+    assert times["total"]["p99"] >= times["joint"]["p50"]
+    assert Stopwatch().summary() == {}

@@ -1,0 +1,1 @@
+"""Judges trajectories against truth: errors, consistency, comparison, report."""

@@ -1,0 +1,1 @@
+"""Where results go: files that other tools read, later links and live views."""
