@@ -6,7 +6,7 @@ know of xi is gathered in information form, then one six-row correction applies 
 """
 
 import numpy as np
-from tagvo import geometry as geo
+
 from tagvo.compiled import njit
 from tagvo.geometry import Array
 from tagvo.information import FloorConfig
@@ -15,17 +15,17 @@ from tagvo.tagmap import TagMap
 from vio import layout as at
 from vio.eskf import (
     GATE_8,
-    camera_jacobian,
-    camera_pose,
     cholesky,
     downdate,
     solve_lower,
     times_ht,
     times_p,
 )
+from vio.predicted import camera_jacobian, camera_pose
 
-# one tag: x_n (4, 2) | noise of each corner xx, xy, yy (4, 3) | p_WX (4, 3) | d p_WX / d laying,
-# scaled by its sigma, as L (3, 3) for dp and axes (3, 3) sigma-scaled turn axes in W | p_WT (3) | id
+# one tag: x_n (4, 2) | noise of each corner xx, xy, yy (4, 3) | p_WX (4, 3) | T's axes in W times
+# the laying sigmas: of the place (3, 3),
+# of the turn (3, 3) | p_WT (3) | id
 # | shift of the corners (8, 3) by one sigma of focal length and principal point
 _X, _N, _W, _DP, _DT, _O, _ID, _B = 0, 8, 20, 32, 41, 50, 53, 54
 _MIN_DEPTH = 1e-2  # [m] a corner nearer than this, or behind, cannot have been seen
@@ -86,7 +86,11 @@ def _lay(tag: Array, c: int, D: Array, G: Array) -> None:
         arm[k] = tag[_W + 3 * c + k] - tag[_O + k]
     for j in range(3):
         a0, a1, a2 = tag[_DT + j], tag[_DT + 3 + j], tag[_DT + 6 + j]
-        turn0, turn1, turn2 = a1 * arm[2] - a2 * arm[1], a2 * arm[0] - a0 * arm[2], a0 * arm[1] - a1 * arm[0]
+        turn0, turn1, turn2 = (
+            a1 * arm[2] - a2 * arm[1],
+            a2 * arm[0] - a0 * arm[2],
+            a0 * arm[1] - a1 * arm[0],
+        )
         for i in range(2):
             row = 2 * c + i
             G[row, j] = (
@@ -109,7 +113,9 @@ def tag_residual(
             row = 2 * c + i
             for k in range(3):
                 J[row, k] = -D[i, k]
-            for j in range(3):  # a right turn of C about its axis j moves p_WX by a_j x (p_WC - p_WX)
+            for j in range(
+                3
+            ):  # a right turn of C about its axis j moves p_WX by a_j x (p_WC - p_WX)
                 a0, a1, a2 = R_WC[0, j], R_WC[1, j], R_WC[2, j]
                 d0 = p_WC[0] - tag[_W + 3 * c]
                 d1 = p_WC[1] - tag[_W + 3 * c + 1]
@@ -135,9 +141,7 @@ def tag_residual(
 
 
 @njit
-def _tag_distance(
-    J: Array, N: Array, r: Array, P_xi: Array, B: Array, inflation: float
-) -> float:
+def _tag_distance(J: Array, N: Array, r: Array, P_xi: Array, B: Array, inflation: float) -> float:
     """Squared Mahalanobis length of one tag's residual under J P_xi J^T + N + B B^T."""
     S, A, y = N.copy(), np.zeros((8, 6)), np.empty((8, 1))
     for i in range(8):

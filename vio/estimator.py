@@ -6,11 +6,10 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.camera import Camera
-from tagvo.geometry import Array
+from tagvo.geometry import Array, IntArray
 from tagvo.information import FloorConfig
 from tagvo.records import Observations, PoseMeasurement, PosePrior
 from tagvo.tagmap import TagMap
-from vio import gate
 from vio import layout as at
 from vio.corners import pack
 from vio.health import Health, Signs, judge
@@ -18,6 +17,7 @@ from vio.intake import DEGRADED_NS, ImuIntake, Interval
 from vio.output import camera_prior, nav_state
 from vio.pivot import pose_row
 from vio.records import ImuNoise, ImuSample, NavState
+from vio.recovery import relocation
 from vio.rig import RigJudge
 from vio.settings import VioConfig
 from vio.start import Rig, begin, dimension, is_still
@@ -265,38 +265,17 @@ class Estimator:
         if len(bad) >= c.rejects and age > c.after_s:
             self._recover(w.m_t[bad[-c.rejects :]])
 
-    def _recover(self, stamps: Array) -> None:
+    def _recover(self, stamps: IntArray) -> None:
         """Move to the rejected poses where they agree; the history before is forgotten."""
         known = {p.t_ns: p for p in self._poses}
-        poses = [known[int(t)] for t in stamps if int(t) in known]
+        poses = [known[t] for t in stamps.tolist() if t in known]
         if len(poses) < self._config.recovery.rejects:
             return
-        w = self._window
-        td = round(w.X[w.last, at.X_TD] * 1e9)
-        ticks = [w.at_or_before(p.t_ns + td) for p in poses]
-        if min(ticks) < 0:
-            return
-        R_WC, p_WC = np.array([p.R_WC for p in poses]), np.array([p.p_WC for p in poses])
-        x = w.X[ticks]
-        R_CI, p_CI = geo.invert(
-            geo.matrix_from_quat(x[:, at.X_QIC : at.X_QIC + 4]), x[:, at.X_PIC : at.X_PIC + 3]
-        )
-        R_z, p_z = geo.compose(R_WC, p_WC, R_CI, p_CI)
-        lead = np.array([p.t_ns + td for p in poses]) - w.t[ticks]
-        seen = gate.Rejected(
-            np.array([(p.t_ns - poses[0].t_ns) * 1e-9 for p in poses]),
-            p_z,
-            R_z,
-            x[:, at.X_P : at.X_P + 3] + lead[:, None] * 1e-9 * x[:, at.X_V : at.X_V + 3],
-            geo.matrix_from_quat(x[:, at.X_Q : at.X_Q + 4]),
-            np.sqrt([np.trace(p.cov[:3, :3]) / 3.0 for p in poses]),
-        )
-        move = gate.agreement(seen, self._config.recovery)
+        move = relocation(self._window, poses, self._config.recovery)
         if move is None:
             self._counters["recovery_refused"] += 1
             return
-        x1, P1 = gate.relocate(w.X[ticks[-1]], w.P[ticks[-1]], move)
-        self._resume(ticks[-1], x1, P1, poses[-1].t_ns)
+        self._resume(*move, poses[-1].t_ns)
 
     def _resume(self, tick: int, x: Array, P: Array, stamp_ns: int) -> None:
         """Begin anew at a snapshot with another state, and integrate up to now."""

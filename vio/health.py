@@ -45,7 +45,9 @@ _REJECTS = 3  # in a row: vision and filter disagree
 _NIS = 4.0  # per dof: the filter is surprised
 
 
-def judge(signs: Signs | None, resets: int, waiting: tuple[str, ...], config: HealthConfig) -> Health:
+def judge(
+    signs: Signs | None, resets: int, waiting: tuple[str, ...], config: HealthConfig
+) -> Health:
     """Health from its signs; None: not started, `waiting` says for what."""
     if signs is None:
         return Health(State.INIT, waiting, None, resets)

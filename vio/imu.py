@@ -9,6 +9,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+
 from tagvo.compiled import drop_stale_code, njit
 from tagvo.geometry import Array
 from vio import layout as at
@@ -59,7 +60,11 @@ def right_jacobian_into(J: Array, x: float, y: float, z: float) -> None:
     else:
         t = math.sqrt(t2)
         b, c = (1.0 - math.cos(t)) / t2, (t - math.sin(t)) / (t2 * t)
-    J[0, 0], J[1, 1], J[2, 2] = 1 - c * (y * y + z * z), 1 - c * (x * x + z * z), 1 - c * (t2 - z * z)
+    J[0, 0], J[1, 1], J[2, 2] = (
+        1 - c * (y * y + z * z),
+        1 - c * (x * x + z * z),
+        1 - c * (t2 - z * z),
+    )
     J[0, 1], J[1, 0] = b * z + c * x * y, -b * z + c * x * y
     J[0, 2], J[2, 0] = -b * y + c * x * z, b * y + c * x * z
     J[1, 2], J[2, 1] = b * x + c * y * z, -b * x + c * y * z
@@ -212,9 +217,7 @@ def _relax_bias(P: Array, dt: float, q: Array) -> None:
 
 
 @njit
-def propagate(
-    x: Array, P: Array, w: Array, f: Array, dt: float, q: Array, scale: Array
-) -> None:
+def propagate(x: Array, P: Array, w: Array, f: Array, dt: float, q: Array, scale: Array) -> None:
     """State x (NOMINAL,) and covariance P (n, n) over dt [s], in place.
 
     w, f (3,): means of gyro [rad/s] and specific force [m/s^2] over the interval, in I; q (10,)

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -81,5 +82,4 @@ class ImuIntake:
         pieces = int(np.ceil(span / _SUB_STEP_NS))
         scale = scale * (span / self._period_ns) ** 2
         edges = [before.t_ns + span * i // pieces for i in range(pieces + 1)]
-        pairs = zip(edges[:-1], edges[1:], strict=True)
-        return [Interval(a, b, gyro, accel, scale) for a, b in pairs]
+        return [Interval(a, b, gyro, accel, scale) for a, b in pairwise(edges)]

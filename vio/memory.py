@@ -1,4 +1,4 @@
-"""How much the errors of the poses remember: what the filter must add for errors that are not white.
+"""How much the poses' errors remember: what the filter must add for errors that are not white.
 
 A filter that takes correlated errors for white ones trusts them too much. White errors leave
 innovations that forget at once; correlated ones show in the innovations' autocorrelation, which is
@@ -34,13 +34,13 @@ def no_memory() -> Array:
 def inflation(x: Array, par: Array) -> float:
     """By how much R is multiplied now; par (3,): usual inflation, gate, whether to adapt."""
     if par[2] == 0.0:
-        return par[0]
+        return float(par[0])
     mean = 0.0
     for lag in range(1, at.LAGS + 1):
         mean += x[at.X_SUMS + lag] / at.LAGS
     rho = max(mean, x[at.X_SUMS + 1]) / x[at.X_SUMS]
     s = min(max((rho - _LOW) / (_HIGH - _LOW), 0.0), 1.0)
-    return 1.0 + s * max(2.0 * par[0] - 1.0, 0.0)
+    return float(1.0 + s * max(2.0 * par[0] - 1.0, 0.0))
 
 
 @njit

@@ -6,8 +6,8 @@ from tagvo import geometry as geo
 from tagvo.geometry import Array
 from tagvo.records import PosePrior
 from vio import layout as at
-from vio.eskf import camera_jacobian, camera_pose
 from vio.imu import propagate
+from vio.predicted import camera_jacobian, camera_pose
 from vio.records import NavState
 from vio.window import Window
 

@@ -151,7 +151,7 @@ def _nominal(R_WI: Array, pvg: Array, gyro_bias: Array, rig: Rig) -> Array:
 
 
 def level_frame(down_W: Array) -> Array:
-    """R_WG (3, 3): z of G against gravity, x of G the map's x made level (its y, where x is not)."""
+    """R_WG (3, 3): z of G against gravity, x the map's x made level (its y, where x stands)."""
     z = -down_W / np.linalg.norm(down_W)
     x = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.8 else np.array([0.0, 1.0, 0.0])
     x = x - z * (x @ z)

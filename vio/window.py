@@ -8,6 +8,7 @@ history. Times are integer nanoseconds of the IMU's clock, measurement stamps of
 from collections import Counter
 
 import numpy as np
+
 from tagvo.compiled import njit
 from tagvo.geometry import Array, IntArray
 from vio import layout as at
@@ -47,13 +48,14 @@ def _apply(x: Array, P: Array, w: Array, z: Array, par: Array, t_ns: int) -> tup
 
 @njit
 def _effective(stamp: int, x: Array) -> int:
-    return stamp + int(round(x[at.X_TD] * 1e9))
+    return int(stamp + round(x[at.X_TD] * 1e9))
 
 
 @njit
 def walk(
     first: int, last: int, j: int, count: int, t: IntArray, imu: Array, X: Array, P: Array,
-    m_t: IntArray, m_at: IntArray, m_state: IntArray, m_nis: Array, m_z: Array, q: Array, par: Array,
+    m_t: IntArray, m_at: IntArray, m_state: IntArray, m_nis: Array, m_z: Array,
+    q: Array, par: Array,
 ) -> None:  # fmt: skip
     """Fill the snapshots first+1..last from snapshot `first`, applying measurements from j on.
 

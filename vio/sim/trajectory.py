@@ -7,7 +7,6 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
-from tagvo import geometry as geo
 from tagvo.geometry import Array
 
 GRAVITY = 9.81
@@ -82,7 +81,7 @@ def t2(R_WG: Array | None = None) -> tuple[Flight, float]:
 
 
 def t3(R_WG: Array | None = None) -> tuple[Flight, float]:
-    """A spline through fifteen points, the yaw swinging over 250 degrees three times; 0.7, at most 1.2 m/s."""
+    """A spline through fifteen points, the yaw swinging over 250 degrees three times."""
     legs = np.sqrt(np.linalg.norm(np.diff(_T3, axis=0), axis=1))
     knots = np.concatenate([[0.0], np.cumsum(legs)])
     t_knots = knots / knots[-1] * 41.0 + 2.0
