@@ -34,7 +34,9 @@ class Flown:
     duration_s: float
 
 
-def fly(name="T3", seed=0, noise=CLEAN, camera=CAMERA, seconds=None, R_WG=None, turn_on=(0.01, 0.1)):
+def fly(
+    name="T3", seed=0, noise=CLEAN, camera=CAMERA, seconds=None, R_WG=None, turn_on=(0.01, 0.1)
+):
     rng = np.random.default_rng(seed)
     flight, duration = FLIGHTS[name](R_WG)
     duration = seconds or duration

@@ -80,7 +80,7 @@ def test_time_offset_column_is_the_motion_of_the_camera():
 
 def test_pivot_rows_are_the_derivative_of_the_residual():
     x, rng = a_state(9)
-    x[at.X_BIAS :at.X_BIAS + 6] = 0.0
+    x[at.X_BIAS : at.X_BIAS + 6] = 0.0
     z = pose_row(measured(x, rng, exact=True))[2:]
     _, y, R = residual(x, z)
     H = np.empty((6, 24))
@@ -145,7 +145,10 @@ def test_reset_jacobian_is_the_derivative_of_the_new_error():
     G = np.eye(3) - 0.5 * geo.hat(phi)
     numeric = np.stack(
         [
-            (geo.log(geo.exp(phi).T @ geo.exp(phi + e)) - geo.log(geo.exp(phi).T @ geo.exp(phi - e)))
+            (
+                geo.log(geo.exp(phi).T @ geo.exp(phi + e))
+                - geo.log(geo.exp(phi).T @ geo.exp(phi - e))
+            )
             / (2 * h)
             for e in h * np.eye(3)
         ],

@@ -1,5 +1,7 @@
 """Inertial propagation against second ways: finite differences, dense algebra, van Loan, RK4."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -145,7 +147,7 @@ def test_ten_seconds_of_midpoint_equal_a_fine_integration():
         x, _ = a_state(1)
         x[at.X_BG : at.X_BG + 6] = 0.0
         t = np.arange(int(10 * hz) + 1) / hz
-        for a, b in zip(t[:-1], t[1:], strict=True):
+        for a, b in pairwise(t):
             (w0, f0), (w1, f1) = rates(a), rates(b)
             x = step(x, 0.5 * (w0 + w1), 0.5 * (f0 + f1), b - a)
         return x
