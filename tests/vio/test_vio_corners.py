@@ -93,7 +93,7 @@ def test_noise_is_that_of_corners_and_of_laying():
 @pytest.mark.parametrize("n", [at.BASE, at.WITH_BIAS])
 def test_update_equals_all_corners_stacked(n):
     x, tag_map, rng = scene(2)
-    P, I = spread_of(rng, n), 3.0
+    P, inflation = spread_of(rng, n), 3.0
     rows = packed(seen(x, tag_map, rng), tag_map)
     H6 = np.empty((6, n))
     camera_jacobian(x, W, H6)
@@ -108,14 +108,14 @@ def test_update_equals_all_corners_stacked(n):
     A = np.concatenate([b[1] for b in parts]).T @ np.linalg.inv(R)
     info = A @ np.concatenate([b[1] for b in parts])
     D = np.linalg.solve(info, A @ B)
-    R_xi = I * (np.linalg.inv(info) + D @ D.T)
+    R_xi = inflation * (np.linalg.inv(info) + D @ D.T)
     xi = np.linalg.solve(info, A @ r)
     S = H6 @ P @ H6.T + R_xi
     K = np.linalg.solve(S, H6 @ P).T
     dx = np.zeros(30)
     dx[:n] = K @ xi
     ours, P_ours = x.copy(), P.copy()
-    verdict, nis = correct_corners(ours, P_ours, W, rows, I, np.inf, np.empty(6))
+    verdict, nis = correct_corners(ours, P_ours, W, rows, inflation, np.inf, np.empty(6))
     assert verdict == at.ACCEPTED
     assert nis > 0.0
     assert_allclose(minus(ours, retract(x, dx)), 0.0, atol=1e-8)

@@ -1,4 +1,4 @@
-"""Corrections against second ways: finite differences, the Joseph form, filterpy, dense stacking."""
+"""Corrections against second ways: finite differences, Joseph form, filterpy, dense stacking."""
 
 import numpy as np
 import pytest

@@ -24,8 +24,8 @@ def run(whats, config=None, camera=CAMERA):
 
 def in_order(flown, delays_ns):
     whats = [(s.t_ns, 0, i, s) for i, s in enumerate(flown.imu)]
-    whats += [(p.t_ns + int(d), 1, i, p)
-              for i, ((_, p), d) in enumerate(zip(flown.poses, delays_ns, strict=True))]  # fmt: skip
+    poses = [p for _, p in flown.poses]
+    whats += [(p.t_ns + int(delays_ns[i]), 1, i, p) for i, p in enumerate(poses)]
     return [w[3] for w in sorted(whats, key=lambda w: w[:3])]
 
 
@@ -165,7 +165,7 @@ def test_prior_is_where_the_camera_will_be():
 
 @pytest.mark.parametrize("name", ["T1", "T3"])
 def test_starts_neither_diverge_nor_lie(name):
-    """A tenth of what `tools/bench_filter.py --starts` does: at rest, and in the middle of motion."""
+    """A part of what `tools/filter_study.py starts` does: at rest, and in the middle of motion."""
     for seed in range(25):
         flown = fly(name, 1000 + seed, PoseNoise(dropouts=0), seconds=14.0)
         begin = int(np.random.default_rng(seed).uniform(0.0, 8.0) * 200)

@@ -111,7 +111,7 @@ def test_spread_equals_the_dense_product(n):
 def test_process_noise_is_van_loans_to_the_order_it_keeps():
     from filterpy.common import van_loan_discretization
 
-    x, rng = a_state(3)
+    x, _ = a_state(3)
     f, dt = np.array([0.3, -0.2, 9.7]), 0.005
     R = geo.matrix_from_quat(x[at.X_Q : at.X_Q + 4])
     A, G = np.zeros((15, 15)), np.zeros((15, 12))
