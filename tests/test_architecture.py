@@ -33,9 +33,12 @@ TAGVO = (
 STAGES = TAGVO[5]
 VIO = (
     {"errors"},
-    {"records", "frames", "stopwatch", "interrupt", "assets"},
-    {"imu"},
-    {"eskf", "gate", "health", "clock"},
+    {"records", "frames", "stopwatch", "interrupt", "assets", "layout", "settings"},
+    {"imu", "memory", "pivot", "intake", "health"},
+    {"predicted", "gate", "rig", "clock", "start"},
+    {"eskf", "corners"},
+    {"window"},
+    {"output", "recovery"},
     {"estimator", "arms", "warmup"},
     {"sources", "sinks", "mavlink", "sim", "evaluate"},
     {"run"},

@@ -10,13 +10,15 @@ class ImuSample:
     """One IMU sample.
 
     t_ns in the IMU's clock; gyro_I (3,) [rad/s]; accel_I (3,) specific force [m/s^2];
-    arrival_ns: when it was known, in the same clock.
+    arrival_ns: when it was known, in the same clock; mean: the figures are means since the sample
+    before (increments divided by the interval), not values at t_ns.
     """
 
     t_ns: int
     gyro_I: Array
     accel_I: Array
     arrival_ns: int
+    mean: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,3 +84,18 @@ class ImuNoise:
     gyro_density: float
     gyro_walk: float
     rate_hz: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NavState:
+    """An estimate of I in W at one moment.
+
+    p_WI (3,) [m]; R_WI (3, 3); v_WI (3,) [m/s], None where the estimator has none; cov (9, 9) of
+    [p in W, right rotation in I, v in W], or (6, 6) without v, None where unknown.
+    """
+
+    t_ns: int
+    p_WI: Array
+    R_WI: Array
+    v_WI: Array | None = None
+    cov: Array | None = None

@@ -1,0 +1,166 @@
+"""The corner update against second ways: a camera model, finite differences, dense stacking."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from test_vio_eskf import W, predicted, spread_of
+from test_vio_imu import a_state, minus, retract
+
+from tagvo import geometry as geo
+from tagvo.information import FloorConfig
+from tagvo.records import Observations
+from tagvo.tagmap import map_from_dict
+from vio import layout as at
+from vio.corners import correct_corners, pack, tag_residual
+from vio.predicted import camera_jacobian
+
+F, CENTRE, SIGMA = 500.0, np.array([320.0, 240.0]), 0.4
+FLOOR = FloorConfig(focal_rel=0.002, principal_px=0.3)
+
+
+def scene(seed, tags=5):
+    """A state, and a map of tags spread before the camera that it predicts."""
+    x, rng = a_state(seed)
+    R_WC, p_WC = predicted(x)
+    rows = []
+    for i in range(tags):
+        p_C = np.array([*rng.uniform(-0.6, 0.6, 2), rng.uniform(1.0, 2.0)])
+        R_CT = geo.exp(np.array([np.pi, 0.0, 0.0])) @ geo.exp(rng.normal(size=3) * 0.4)
+        q = geo.quat_from_matrix(R_WC @ R_CT)
+        rows.append({"id": i, "size": 0.2, "p": (p_WC + R_WC @ p_C).tolist(), "q": q.tolist()})
+    sigma = {"xy": 0.003, "z": 0.002, "yaw_deg": 0.5, "tilt_deg": 0.3}
+    data = {"family": "tag36h11", "sigma": sigma, "tags": rows}
+    return x, map_from_dict(data, "scene"), rng
+
+
+def project(x, corners_W):
+    R_WC, p_WC = predicted(x)
+    p_C = (corners_W - p_WC) @ R_WC
+    return p_C[..., :2] / p_C[..., 2:]
+
+
+def seen(x, tag_map, rng=None, sigma=SIGMA):
+    x_n = project(x, tag_map.corners_W)
+    if rng is not None:
+        x_n = x_n + sigma / F * rng.normal(size=x_n.shape)
+    n = len(tag_map)
+    J = np.broadcast_to(F * np.eye(2), (n, 4, 2, 2)).copy()
+    return Observations(
+        np.arange(n), tag_map.tag_id, x_n * F + CENTRE, x_n, J, np.full((n, 4), SIGMA)
+    )
+
+
+def packed(obs, tag_map):
+    return pack(obs, tag_map, CENTRE, FLOOR, 48)
+
+
+def blocks(x, row):
+    R_WC, p_WC = predicted(x)
+    r, J, N = np.empty(8), np.empty((8, 6)), np.empty((8, 8))
+    good = tag_residual(row, R_WC, p_WC, r, J, N, 1.0)
+    return r, J, N, good
+
+
+def test_residual_and_its_jacobian():
+    x, tag_map, _ = scene(0)
+    row = packed(seen(x, tag_map), tag_map)[0]
+    i = int(row[53])
+    r, J, _, good = blocks(x, row)
+    assert good
+    assert_allclose(r, 0.0, atol=1e-12)
+    H = np.empty((6, 21))
+    camera_jacobian(x, W, H)
+    h = 1e-6
+    for k in range(at.TD):
+        d = np.zeros(30)
+        d[k] = h
+        plus, less = (project(retract(x, s * d), tag_map.corners_W[i]) for s in (1, -1))
+        assert_allclose((J @ H)[:, k], ((plus - less) / (2 * h)).ravel(), atol=1e-7)
+
+
+def test_noise_is_that_of_corners_and_of_laying():
+    """By drawing both: the laying errors move the tag in its own frame."""
+    x, tag_map, rng = scene(1, tags=1)
+    row = packed(seen(x, tag_map), tag_map)[0]
+    _, _, N, _ = blocks(x, row)
+    d = rng.normal(size=(20000, 6)) * tag_map.laying_sigma[0]
+    X_T = np.einsum("nij,kj->nki", geo.exp(d[:, 3:]), tag_map.corners_T[0]) + d[:, None, :3]
+    x_n = project(x, X_T @ tag_map.R_WT[0].T + tag_map.p_WT[0])
+    x_n = x_n + SIGMA / F * rng.normal(size=x_n.shape)
+    assert_allclose(N, np.cov(x_n.reshape(-1, 8).T), atol=0.04 * np.abs(N).max())
+
+
+@pytest.mark.parametrize("n", [at.BASE, at.WITH_BIAS])
+def test_update_equals_all_corners_stacked(n):
+    x, tag_map, rng = scene(2)
+    P, inflation = spread_of(rng, n), 3.0
+    rows = packed(seen(x, tag_map, rng), tag_map)
+    H6 = np.empty((6, n))
+    camera_jacobian(x, W, H6)
+    parts = [blocks(x, row) for row in rows]
+    r = np.concatenate([b[0] for b in parts])
+    H = np.concatenate([b[1] for b in parts]) @ H6
+    R = np.zeros((len(r), len(r)))
+    for i, b in enumerate(parts):
+        R[8 * i : 8 * i + 8, 8 * i : 8 * i + 8] = b[2]
+    B = np.concatenate([row[54:].reshape(8, 3) for row in rows])
+    # the floor is common to all tags and does not change how they are weighed: as in tagvo's joint
+    A = np.concatenate([b[1] for b in parts]).T @ np.linalg.inv(R)
+    info = A @ np.concatenate([b[1] for b in parts])
+    D = np.linalg.solve(info, A @ B)
+    R_xi = inflation * (np.linalg.inv(info) + D @ D.T)
+    xi = np.linalg.solve(info, A @ r)
+    S = H6 @ P @ H6.T + R_xi
+    K = np.linalg.solve(S, H6 @ P).T
+    dx = np.zeros(30)
+    dx[:n] = K @ xi
+    ours, P_ours = x.copy(), P.copy()
+    verdict, nis = correct_corners(ours, P_ours, W, rows, inflation, np.inf, np.empty(6))
+    assert verdict == at.ACCEPTED
+    assert nis > 0.0
+    assert_allclose(minus(ours, retract(x, dx)), 0.0, atol=1e-8)
+    spread = np.diag((np.eye(n) - K @ H6) @ P)
+    assert_allclose(np.diag(P_ours), spread, atol=0.02 * spread.max())
+    assert H.shape == (40, n)
+
+
+def test_a_moved_tag_is_gated_and_the_others_count():
+    x, tag_map, rng = scene(3)
+    obs = seen(x, tag_map, rng)
+    obs.corners_n[1] += 60.0 / F
+    P = 1e-6 * np.eye(21)
+    before = x.copy()
+    assert correct_corners(x, P, W, packed(obs, tag_map), 1.0, 1.0, np.empty(6))[0] == at.ACCEPTED
+    assert np.linalg.norm(minus(x, before)[:3]) < 0.01
+
+
+def test_nothing_but_moved_tags_is_rejected():
+    x, tag_map, rng = scene(4, tags=2)
+    obs = seen(x, tag_map, rng)
+    obs.corners_n[:] += 60.0 / F
+    P, before = 1e-6 * np.eye(21), x.copy()
+    assert correct_corners(x, P, W, packed(obs, tag_map), 1.0, 1.0, np.empty(6))[0] == at.REJECTED
+    assert np.array_equal(x, before)
+
+
+def test_tags_behind_the_camera_and_without_noise_do_no_harm():
+    x, tag_map, rng = scene(5, tags=3)
+    rows = packed(seen(x, tag_map, rng), tag_map)
+    rows[0, 20:32] = np.tile(predicted(x)[1], 4)  # its corners stand at the camera
+    rows[1, 8:20] = rows[1, 32:50] = 0.0  # no noise, laid exactly: N is singular
+    P = 1e-4 * np.eye(21)
+    verdict, _ = correct_corners(x, P, W, rows, 1.0, np.inf, np.empty(6))
+    assert verdict == at.ACCEPTED
+    assert np.isfinite(x).all()
+    verdict, _ = correct_corners(x, P, W, rows[:2], 1.0, 1.0, np.empty(6))
+    assert verdict == at.REJECTED
+
+
+def test_pack_drops_what_is_not_finite_and_keeps_the_largest():
+    x, tag_map, rng = scene(6)
+    obs = seen(x, tag_map, rng)
+    obs.sigma_px[0] = np.nan
+    obs.J_px_n[1] = np.nan
+    rows = packed(obs, tag_map)
+    assert 0 not in rows[:, 53]
+    assert len(pack(obs, tag_map, CENTRE, FLOOR, 2)) == 2

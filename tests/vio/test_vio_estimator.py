@@ -1,0 +1,196 @@
+"""The estimator as a whole: order of arrival, lateness, consistency, start, prior, determinism."""
+
+import numpy as np
+import pytest
+from flights import CAMERA, CLEAN, edit_poses, events, feed, fly, replay, rms
+from numpy.testing import assert_allclose
+
+from tagvo import geometry as geo
+from vio import layout as at
+from vio.estimator import Estimator
+from vio.health import State
+from vio.records import ImuSample
+from vio.settings import PriorConfig, VioConfig
+from vio.sim.inertial import PIXHAWK
+from vio.sim.poses import PoseNoise, wrong_rig
+from vio.start import level_frame
+
+
+def run(whats, config=None, camera=CAMERA):
+    estimator = Estimator(config or VioConfig(), camera, PIXHAWK)
+    outputs = [feed(estimator, what) for what in whats]
+    return estimator, [o for o in outputs if o is not None]
+
+
+def in_order(flown, delays_ns):
+    whats = [(s.t_ns, 0, i, s) for i, s in enumerate(flown.imu)]
+    poses = [p for _, p in flown.poses]
+    whats += [(p.t_ns + int(delays_ns[i]), 1, i, p) for i, p in enumerate(poses)]
+    return [w[3] for w in sorted(whats, key=lambda w: w[:3])]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_late_and_shuffled_arrival_leave_no_trace(seed):
+    noise = PoseNoise(dropouts=0, delay_s=(0.0, 0.0), stamp_s=0.0)
+    flown, rng = fly("T3", seed, noise, seconds=9.0), np.random.default_rng(seed)
+    delays = rng.integers(0, 150_000_000, len(flown.poses))
+    early = np.array([p.t_ns < 2_000_000_000 or p.t_ns > 8_700_000_000 for _, p in flown.poses])
+    delays[early] = 0  # the start is the same; at the end everything has arrived
+    a, _ = run(in_order(flown, np.zeros(len(delays))))
+    b, _ = run(in_order(flown, delays))
+    assert_allclose(a.state(), b.state(), atol=1e-12)
+    assert_allclose(a.covariance(), b.covariance(), rtol=1e-9, atol=1e-15)
+    assert a.counters["fused"] == b.counters["fused"]
+
+
+def test_duplicates_and_old_poses_are_refused_and_counted():
+    flown = fly("T2", 1, seconds=6.0)
+    whats = events(flown)
+    estimator, _ = run(whats)
+    before = estimator.state()
+    estimator.pose(flown.poses[-1][1])
+    estimator.pose(flown.poses[10][1])
+    assert estimator.counters["duplicate"] == 1
+    assert estimator.counters["too_old"] == 1
+    assert np.array_equal(estimator.state(), before)
+
+
+def test_an_early_pose_waits_for_the_imu():
+    flown = fly("T2", 2, seconds=6.0)
+    whats = events(flown)
+    cut = next(i for i, w in enumerate(whats) if w is flown.imu[1000])
+    estimator, _ = run(whats[:cut])
+    now = flown.imu[999].t_ns
+    ahead = next(p for _, p in flown.poses if p.t_ns > now + 20_000_000)
+    estimator.pose(ahead)
+    assert estimator.counters["waiting"] == 1
+    for sample in flown.imu[1000:1040]:
+        estimator.imu(sample)
+    assert "waiting" not in estimator.counters
+
+
+def test_the_same_input_gives_the_same_bytes():
+    flown = fly("T3", 3, PoseNoise(), seconds=8.0)
+    _, a = run(events(flown))
+    _, b = run(events(flown))
+    assert [o.p_WI.tobytes() + o.cov.tobytes() for o in a] == [
+        o.p_WI.tobytes() + o.cov.tobytes() for o in b
+    ]
+
+
+def test_output_is_valid_now_at_the_imus_rate():
+    flown = fly("T3", 4, seconds=10.0)
+    _, outputs = run(events(flown))
+    stamps = np.array([o.t_ns for o in outputs])
+    assert np.array_equal(np.diff(stamps), np.full(len(stamps) - 1, 5_000_000))
+    assert outputs[0].t_ns < 1.5e9
+    truth = flown.flight(stamps * 1e-9)
+    late = stamps > 4e9
+    p = np.array([o.p_WI for o in outputs]) - truth.p_WI
+    v = np.array([o.v_WI for o in outputs]) - truth.v_WI
+    assert rms(p[late]) < 0.012
+    assert rms(v[late]) < 0.03
+
+
+def test_errors_are_as_large_as_the_filter_says():
+    """White poses, exact models: NEES/6 over flights, and neither side too small nor too large."""
+    config = VioConfig(r_adapt=False, r_inflation=1.0)
+    nees = []
+    for seed in range(8):
+        track = replay(fly("T3", 100 + seed, CLEAN, seconds=15.0), config)
+        nees.append(track.nees[track.t_s > 3.0].mean())
+    assert 0.6 < np.mean(nees) < 1.6
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 30.0, 90.0])
+def test_gravity_is_found_wherever_it_points(tilt_deg):
+    R_WG = geo.exp(np.radians(tilt_deg) * np.array([0.6, 0.8, 0.0]))
+    track = replay(fly("T3", 5, CLEAN, seconds=12.0, R_WG=R_WG))
+    x = track.estimator.state()
+    up = geo.matrix_from_quat(x[at.X_QWG : at.X_QWG + 4])[:, 2]
+    assert np.degrees(np.arccos(np.clip(up @ R_WG[:, 2], -1.0, 1.0))) < 0.5
+    assert rms(track.p[track.t_s > 5.0]) < 0.015
+
+
+def test_level_frame_stands_against_gravity():
+    for down in np.random.default_rng(0).normal(size=(20, 3)):
+        R = level_frame(down)
+        assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
+        assert_allclose(R[:, 2], -down / np.linalg.norm(down), atol=1e-12)
+
+
+def test_offset_and_extrinsics_are_learnt_where_the_file_is_wrong():
+    noise = PoseNoise(white=(0.01, 0.3), slow=(0.0, 0.0), outliers=0.0, dropouts=0, stamp_s=0.03)
+    rig = wrong_rig(CAMERA, 2.0, 0.0, np.random.default_rng(1))
+    track = replay(fly("T3", 6, noise, seconds=25.0), camera=rig)
+    x = track.estimator.state()
+    assert x[at.X_TD] == pytest.approx(0.03, abs=2e-3)
+    R_IC = geo.matrix_from_quat(x[at.X_QIC : at.X_QIC + 4])
+    assert np.degrees(geo.angle(CAMERA.R_CI @ R_IC)) < 0.4
+    assert "rig_confirmed" not in track.estimator.counters
+
+
+def test_a_true_calibration_is_confirmed_and_held():
+    track = replay(fly("T3", 7, CLEAN, seconds=25.0))
+    P, x = track.estimator.covariance(), track.estimator.state()
+    assert track.estimator.counters["rig_confirmed"] == 2
+    assert np.degrees(np.sqrt(P[at.EX, at.EX])) < 0.06
+    assert abs(x[at.X_TD]) < 1e-3
+
+
+def test_inflation_follows_the_memory_of_the_errors():
+    from vio.memory import inflation
+
+    par = np.array([4.0, 1.0, 1.0])
+    slow = PoseNoise(white=(0.003, 0.1), slow=(0.02, 0.7), slow_s=0.3, outliers=0.0, dropouts=0)
+    white = replay(fly("T3", 8, PoseNoise(slow=(0.0, 0.0), outliers=0.0, dropouts=0)))
+    correlated = replay(fly("T3", 8, slow))
+    assert inflation(white.estimator.state(), par) < 2.5
+    assert inflation(correlated.estimator.state(), par) > 6.0
+
+
+def test_prior_is_where_the_camera_will_be():
+    flown = fly("T3", 9, seconds=8.0)
+    estimator, _ = run(events(flown))
+    t_ns = flown.imu[-1].t_ns
+    for t in (t_ns - 30_000_000, t_ns, t_ns + 30_000_000):
+        prior, truth = estimator.prior(t), flown.flight(np.array([t * 1e-9]))
+        R_IC, p_IC = geo.invert(CAMERA.R_CI, CAMERA.p_CI)
+        R_WC, p_WC = geo.compose(truth.R_WI[0], truth.p_WI[0], R_IC, p_IC)
+        e = np.concatenate([p_WC - prior.p_WC, geo.log(prior.R_WC.T @ R_WC)])
+        assert np.linalg.norm(e[:3]) < 0.03
+        assert e @ np.linalg.solve(prior.cov, e) < 40.0
+    assert Estimator(VioConfig(), CAMERA, PIXHAWK).prior(0) is None
+
+
+@pytest.mark.parametrize("name", ["T1", "T3"])
+def test_starts_neither_diverge_nor_lie(name):
+    """A part of what `tools/filter_study.py starts` does: at rest, and in the middle of motion."""
+    for seed in range(25):
+        flown = fly(name, 1000 + seed, PoseNoise(dropouts=0), seconds=14.0)
+        begin = int(np.random.default_rng(seed).uniform(0.0, 8.0) * 200)
+        t0 = flown.imu[begin].t_ns
+        flown.imu, flown.poses = flown.imu[begin:], [q for q in flown.poses if q[0] > t0]
+        track = replay(flown, every=40)
+        late = track.t_s > t0 * 1e-9 + 3.0
+        assert np.linalg.norm(track.p[late], axis=1).max() < 0.4, seed
+        assert track.estimator.counters.get("resets", 0) == 0
+
+
+def test_ground_holds_the_velocity_at_zero():
+    config = VioConfig(prior=PriorConfig(velocity_m_s=1.0))
+    flown = fly("T2", 3, CLEAN, seconds=12.0)
+    still = [ImuSample(s.t_ns, 0.002 + 0 * s.gyro_I, np.array([0.02, 0.0, 9.81]), s.t_ns)
+             for s in flown.imu]  # fmt: skip
+    pose = flown.poses[0][1]
+    from dataclasses import replace
+
+    flown.imu = still
+    flown = edit_poses(flown, lambda p: replace(pose, t_ns=p.t_ns))
+    estimator = Estimator(config, CAMERA, PIXHAWK)
+    estimator.ground(True)
+    for what in events(flown):
+        if isinstance(what, ImuSample) or what.t_ns < 3e9:
+            feed(estimator, what)
+    assert estimator.health().state in (State.COASTING, State.LOST)
+    assert np.linalg.norm(estimator.nav().v_WI) < 0.01

@@ -1,0 +1,78 @@
+"""The filter's word on itself: a state, and the reasons for it."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from vio.settings import HealthConfig
+
+
+class State(StrEnum):
+    """INIT: not started; COASTING: on the IMU alone; LOST: do not fly on it; RELOCATING: vision
+    disagrees with the filter, and may be right."""
+
+    INIT = "INIT"
+    TRACKING = "TRACKING"
+    COASTING = "COASTING"
+    LOST = "LOST"
+    RELOCATING = "RELOCATING"
+
+
+@dataclass(frozen=True, slots=True)
+class Signs:
+    """What health is judged by: age of the last accepted pose [s], rejects in a row since, the
+    median NIS per dof of the last second, sigmas of position [m] and attitude [deg] now."""
+
+    age_s: float
+    rejects: int
+    nis: float
+    sigma_m: float
+    sigma_deg: float
+    imu_degraded: bool
+    imu_late_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """State, why, the signs it was judged by, and how often the estimate has jumped."""
+
+    state: State
+    reasons: tuple[str, ...]
+    signs: Signs | None
+    resets: int
+
+
+_REJECTS = 3  # in a row: vision and filter disagree
+_NIS = 4.0  # per dof: the filter is surprised
+
+
+def judge(
+    signs: Signs | None, resets: int, waiting: tuple[str, ...], config: HealthConfig
+) -> Health:
+    """Health from its signs; None: not started, `waiting` says for what."""
+    if signs is None:
+        return Health(State.INIT, waiting, None, resets)
+    reasons = []
+    if signs.sigma_m > config.lost_sigma_m:
+        reasons.append("position_sigma")
+    if signs.sigma_deg > config.lost_sigma_deg:
+        reasons.append("attitude_sigma")
+    if signs.age_s > config.lost_after_s:
+        reasons.append("no_pose_for_long")
+    lost = bool(reasons)
+    stale = signs.age_s > config.coasting_after_s
+    if stale:
+        reasons.append("no_pose")
+    disputed = signs.rejects >= _REJECTS
+    if disputed:
+        reasons.append("poses_rejected")
+    if signs.nis > _NIS:
+        reasons.append("innovation")
+    if signs.imu_degraded:
+        reasons.append("imu_gap")
+    if disputed and stale:
+        state = State.RELOCATING
+    elif lost:
+        state = State.LOST
+    else:
+        state = State.COASTING if stale else State.TRACKING
+    return Health(state, tuple(reasons), signs, resets)

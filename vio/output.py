@@ -1,0 +1,39 @@
+"""What leaves the filter: states and camera priors as records, from its flat vectors."""
+
+import numpy as np
+
+from tagvo import geometry as geo
+from tagvo.geometry import Array
+from tagvo.records import PosePrior
+from vio import layout as at
+from vio.imu import propagate
+from vio.predicted import camera_jacobian, camera_pose
+from vio.records import NavState
+from vio.window import Window
+
+_ORDER = np.r_[at.P : at.P + 3, at.TH : at.TH + 3, at.V : at.V + 3]
+_PICK = np.ix_(_ORDER, _ORDER)
+
+
+def nav_state(t_ns: int, x: Array, P: Array) -> NavState:
+    """The record of a nominal state x (NOMINAL,) and its covariance P (n, n)."""
+    R_WI = geo.matrix_from_quat(x[at.X_Q : at.X_Q + 4])
+    return NavState(
+        t_ns, x[at.X_P : at.X_P + 3].copy(), R_WI, x[at.X_V : at.X_V + 3].copy(), P[_PICK]
+    )
+
+
+def camera_prior(window: Window, t_ns: int) -> PosePrior | None:
+    """The predicted camera pose at a stamp of the camera's clock; None before the window."""
+    due = t_ns + round(window.X[window.last, at.X_TD] * 1e9)
+    k = window.at_or_before(due)
+    if k < 0:
+        return None
+    x, P = window.X[k].copy(), window.P[k].copy()
+    imu = window.imu[min(k + 1, window.last)]
+    if due > window.t[k]:
+        propagate(x, P, imu[0:3], imu[3:6], (due - window.t[k]) * 1e-9, window.q, imu[6:12])
+    R_WC, p_WC, H = np.empty((3, 3)), np.empty(3), np.empty((6, len(P)))
+    camera_pose(x, R_WC, p_WC)
+    camera_jacobian(x, imu[0:3], H)
+    return PosePrior(t_ns, p_WC, R_WC, H @ P @ H.T)

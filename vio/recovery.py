@@ -1,0 +1,48 @@
+"""The way back after a kidnap or a wrong start: where the rejected poses would have the filter."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tagvo import geometry as geo
+from tagvo.geometry import Array
+from tagvo.records import PoseMeasurement
+from vio import layout as at
+from vio.gate import Rejected, agreement, relocate
+from vio.settings import RecoveryConfig
+from vio.window import Window
+
+
+def relocation(
+    window: Window, poses: Sequence[PoseMeasurement], config: RecoveryConfig
+) -> tuple[int, Array, Array] | None:
+    """Snapshot to begin anew at, with its new state and covariance; None: the poses disagree."""
+    td_ns = round(window.X[window.last, at.X_TD] * 1e9)
+    ticks = [window.at_or_before(p.t_ns + td_ns) for p in poses]
+    if min(ticks) < 0:
+        return None
+    move = agreement(_beside_predictions(window, poses, ticks, td_ns), config)
+    if move is None:
+        return None
+    return ticks[-1], *relocate(window.X[ticks[-1]], window.P[ticks[-1]], move)
+
+
+def _beside_predictions(
+    window: Window, poses: Sequence[PoseMeasurement], ticks: list[int], td_ns: int
+) -> Rejected:
+    x = window.X[ticks]
+    R_CI, p_CI = geo.invert(
+        geo.matrix_from_quat(x[:, at.X_QIC : at.X_QIC + 4]), x[:, at.X_PIC : at.X_PIC + 3]
+    )
+    R_WC, p_WC = np.array([p.R_WC for p in poses]), np.array([p.p_WC for p in poses])
+    R_z, p_z = geo.compose(R_WC, p_WC, R_CI, p_CI)
+    t_ns = np.array([p.t_ns for p in poses])
+    lead = (t_ns + td_ns - window.t[ticks]) * 1e-9
+    return Rejected(
+        (t_ns - t_ns[0]) * 1e-9,
+        p_z,
+        R_z,
+        x[:, at.X_P : at.X_P + 3] + lead[:, None] * x[:, at.X_V : at.X_V + 3],
+        geo.matrix_from_quat(x[:, at.X_Q : at.X_Q + 4]),
+        np.sqrt([np.trace(p.cov[:3, :3]) / 3.0 for p in poses]),
+    )

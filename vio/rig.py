@@ -1,0 +1,71 @@
+"""Whether the calibration file tells the truth: believed once the flight confirms it.
+
+The extrinsic rotation and the time offset start with wide priors. Once the filter has seen enough
+to tell, the file's value is either confirmed, and then holds as tightly as calibrations do, or it
+is not, and the state stays free. A confirmation that later data contradict is withdrawn. (Left free
+for ever, errors of camera and IMU that are no noise pull a good calibration away.)
+"""
+
+import numpy as np
+
+from tagvo import geometry as geo
+from tagvo.geometry import Array
+from vio import layout as at
+from vio.settings import RigConfig, VioConfig
+
+_CONTRADICTION = (36.0, 25.0)  # chi-square beyond doubt: 1 dof and 3 dof, 1e-5 and less
+
+
+class _Claim:
+    """That some states are as the file says; variances of the file if true, of the prior."""
+
+    def __init__(self, first: int, count: int, tight: float, wide: float, enough: float) -> None:
+        self._block = slice(first, first + count)
+        self._tight, self._wide, self._enough = tight**2, wide**2, enough**2
+        self._limit = _CONTRADICTION[count > 1]
+        self._open = np.array([at.M_OPEN, 1.0, self._wide, first, count])
+        self.confirmed = False
+
+    def decide(self, e: Array, P: Array, file: Array) -> Array | None:
+        """The window's row where the verdict changes; e (k,): states less the file's."""
+        C, eye = P[self._block, self._block], np.eye(len(e))
+        if self.confirmed:
+            doubt = 1.001 * self._tight * eye - C  # covariance of what the data have moved
+            if not float(e @ np.linalg.solve(doubt, e)) > self._limit:
+                return None
+            self.confirmed = False
+            return self._open
+        if self._wide <= self._tight or float(np.linalg.eigvalsh(C)[-1]) > self._enough:
+            return None
+        if _evidence(e, C + self._tight * eye) < _evidence(e, C + self._wide * eye):
+            return None
+        self.confirmed = True
+        return np.concatenate([file, [self._tight]])
+
+
+class RigJudge:
+    """The claims of one camera's calibration, since one start of the filter."""
+
+    def __init__(self, config: VioConfig, R_IC: Array, time_offset_s: float) -> None:
+        rig: RigConfig = config.rig
+        wide = float(np.radians(config.prior.extrinsic_rotation_deg))
+        tight, enough = np.radians(rig.rotation_deg), np.radians(rig.rotation_known_deg)
+        self._R_IC, self._td = R_IC, time_offset_s
+        self._turned = _Claim(at.EX, 3, float(tight), wide, float(enough))
+        self._delayed = _Claim(
+            at.TD, 1, rig.time_offset_s, config.prior.time_offset_s, rig.time_offset_known_s
+        )
+
+    def rows(self, x: Array, P: Array) -> list[Array]:
+        """Measurements for the window where a verdict changes."""
+        R_IC = geo.matrix_from_quat(x[at.X_QIC : at.X_QIC + 4])
+        file = np.concatenate([[at.M_RIG, 1.0], geo.quat_from_matrix(self._R_IC)])
+        turned = self._turned.decide(geo.log(self._R_IC.T @ R_IC), P, file)
+        late = np.array([x[at.X_TD] - self._td])
+        delayed = self._delayed.decide(late, P, np.array([at.M_CLOCK, 1.0, self._td]))
+        return [row for row in (turned, delayed) if row is not None]
+
+
+def _evidence(e: Array, S: Array) -> float:
+    """Log likelihood, but for a constant, of an estimate e with covariance S about zero."""
+    return float(-0.5 * (e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1]))

@@ -1,0 +1,93 @@
+"""What can be set about the filter: one frozen model, every figure with its unit."""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, PositiveInt
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class PriorConfig(_Model):
+    """Standard deviations at the start, per axis."""
+
+    position_m: PositiveFloat = 0.5
+    velocity_m_s: PositiveFloat = 1.0
+    attitude_deg: PositiveFloat = 12.0
+    gyro_bias_rad_s: PositiveFloat = 0.05
+    accel_bias_m_s2: PositiveFloat = 0.2
+    extrinsic_rotation_deg: NonNegativeFloat = 1.5
+    time_offset_s: NonNegativeFloat = 0.03
+    gravity_deg: PositiveFloat = 8.0
+    lever_arm_m: PositiveFloat = 0.01
+    pose_bias_m: PositiveFloat = 0.015
+    pose_bias_deg: PositiveFloat = 0.7
+    pose_bias_time_s: PositiveFloat = 5.0
+
+
+class StartConfig(_Model):
+    """When there is enough to start: in motion, and at rest."""
+
+    poses: PositiveInt = 5
+    span_s: PositiveFloat = 0.4
+    still_s: PositiveFloat = 1.0
+    still_gyro_rad_s: PositiveFloat = 0.02
+    still_accel_m_s2: PositiveFloat = 0.2
+
+
+class RigConfig(_Model):
+    """How well a calibration holds once the flight has confirmed it, and when it can tell."""
+
+    rotation_deg: PositiveFloat = 0.05
+    rotation_known_deg: PositiveFloat = 0.4
+    time_offset_s: PositiveFloat = 0.0005
+    time_offset_known_s: PositiveFloat = 0.003
+
+
+class RecoveryConfig(_Model):
+    """When to believe rejected poses that agree with one another."""
+
+    rejects: PositiveInt = 5
+    after_s: PositiveFloat = 0.5
+    spread_m: PositiveFloat = 0.15
+    spread_deg: PositiveFloat = 6.0
+
+
+class HealthConfig(_Model):
+    """Where TRACKING ends and LOST begins."""
+
+    coasting_after_s: PositiveFloat = 0.3
+    lost_after_s: PositiveFloat = 5.0
+    lost_sigma_m: PositiveFloat = 0.5
+    lost_sigma_deg: PositiveFloat = 10.0
+
+
+class VioConfig(_Model):
+    """The filter; `update` picks how tags correct it.
+
+    `r_inflation` multiplies the poses' covariance, for errors that are correlated in time; with
+    `r_adapt` it is what such errors usually need, and the factor moves between 1 and twice as much
+    by how correlated the innovations turn out to be.
+    """
+
+    update: Literal["pose", "corners"] = "pose"
+    r_inflation: PositiveFloat = 4.0
+    r_adapt: bool = True
+    gate: PositiveFloat = 1.0
+    lever_arm: bool = False
+    pose_bias: bool = False
+    gravity_m_s2: PositiveFloat = 9.81
+    buffer_s: PositiveFloat = 1.0
+    max_tags: PositiveInt = 48
+    extrinsic_walk_rad: NonNegativeFloat = 1e-5
+    time_offset_walk_s: NonNegativeFloat = 1e-5
+    still_sigma_m_s: PositiveFloat = 0.02
+    still_every_s: PositiveFloat = 0.2
+    gyro_max_rad_s: PositiveFloat = 34.9
+    accel_max_m_s2: PositiveFloat = 156.9
+    prior: PriorConfig = PriorConfig()
+    start: StartConfig = StartConfig()
+    rig: RigConfig = RigConfig()
+    recovery: RecoveryConfig = RecoveryConfig()
+    health: HealthConfig = HealthConfig()
