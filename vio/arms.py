@@ -8,7 +8,7 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.camera import Camera
 from tagvo.geometry import Array
-from tagvo.records import Frame, PoseMeasurement
+from tagvo.records import Frame, Observations, PoseMeasurement
 from tagvo.smoothing import Fir
 from vio.records import ImuSample
 
@@ -38,8 +38,10 @@ class Estimator(Protocol):
     def imu(self, sample: ImuSample) -> Output | None:
         """Take an IMU sample."""
 
-    def pose(self, frame: Frame, measured: PoseMeasurement | None) -> Output | None:
-        """Take what tagvo made of a frame (None: no pose)."""
+    def pose(
+        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations
+    ) -> Output | None:
+        """Take what tagvo made of a frame: its pose (None: there is none) and the tags seen."""
 
 
 def body_output(frame: Frame, measured: PoseMeasurement, camera: Camera) -> Output:
@@ -68,7 +70,9 @@ class VoArm:
         """VO knows no IMU."""
         return None
 
-    def pose(self, frame: Frame, measured: PoseMeasurement | None) -> Output | None:
+    def pose(
+        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations
+    ) -> Output | None:
         """The pose of I at the capture of this frame."""
         return None if measured is None else body_output(frame, measured, self._camera)
 
@@ -82,9 +86,11 @@ class VoFirArm(VoArm):
         super().__init__(camera)
         self._fir = Fir(taps, gap_s)
 
-    def pose(self, frame: Frame, measured: PoseMeasurement | None) -> Output | None:
+    def pose(
+        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations
+    ) -> Output | None:
         """The smoothed pose at this frame; its covariance is not known: the errors repeat."""
-        raw = super().pose(frame, measured)
+        raw = super().pose(frame, measured, seen)
         if raw is None:
             return None
         p_WI, R_WI = self._fir(raw.t_ns, raw.p_WI, raw.R_WI)

@@ -9,6 +9,7 @@ from pydantic import BaseModel, field_validator
 from tagvo.config import TagvoConfig, validated
 from tagvo.errors import ConfigError
 from tagvo.textfile import parse_yaml, read_yaml
+from vio.settings import VioConfig
 
 _IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 Row = tuple[float, float, float, float]
@@ -37,6 +38,7 @@ class Config(BaseModel, frozen=True, extra="forbid"):
     """Everything that a configuration file may hold; a missing key has its default."""
 
     tagvo: TagvoConfig = TagvoConfig()
+    vio: VioConfig = VioConfig()
     vehicle: VehicleConfig = VehicleConfig()
 
 

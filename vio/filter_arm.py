@@ -1,5 +1,6 @@
 """The filter, and a constant-velocity Kalman filter on the VO, as arms of a comparison."""
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -13,17 +14,22 @@ from vio.records import ImuSample, NavState
 
 
 class VioArm:
-    """`vio`: the filter; an output at every IMU sample once started, valid at its stamp."""
+    """`vio`: the filter; an output at every IMU sample once started, valid at its stamp.
+
+    states: IMU samples spent in each state of health.
+    """
 
     name = "vio"
 
     def __init__(self, estimator: Estimator, corners: bool = False) -> None:
         self.estimator = estimator
+        self.states: Counter[str] = Counter()
         self._corners = corners
 
     def imu(self, sample: ImuSample) -> Output | None:
         """The state at this sample."""
         nav = self.estimator.imu(sample)
+        self.states[self.estimator.health().state.value] += 1
         return None if nav is None else _output(nav, sample.arrival_ns)
 
     def prior(self, t_ns: int) -> PosePrior | None:
@@ -31,14 +37,16 @@ class VioArm:
         return self.estimator.prior(t_ns)
 
     def pose(
-        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations | None = None
+        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations
     ) -> Output | None:
-        """Fuse a frame, by its pose or by the tags' corners; the output comes with the IMU."""
-        if self._corners and seen is not None and len(seen):
+        """Fuse a frame, by its pose or by the tags' corners; the state as known then."""
+        if self._corners and len(seen):
             self.estimator.corners(frame.t_ns, seen, measured)
         elif measured is not None:
             self.estimator.pose(measured)
-        return None
+        nav = self.estimator.nav()
+        known_ns = frame.t_ns if frame.arrival_ns is None else frame.arrival_ns
+        return None if nav is None else _output(nav, known_ns)
 
 
 def _output(nav: NavState, known_ns: int) -> Output:
@@ -62,10 +70,10 @@ class VoKfArm(VoArm):
         self._t_ns = 0
 
     def pose(
-        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations | None = None
+        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations
     ) -> Output | None:
         """The filtered pose at this frame."""
-        raw = super().pose(frame, measured)
+        raw = super().pose(frame, measured, seen)
         if raw is None or raw.cov is None or not np.isfinite(raw.cov).all():
             return None
         dt = (raw.t_ns - self._t_ns) * 1e-9

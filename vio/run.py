@@ -8,7 +8,7 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.pipeline import TagVO, Trace
-from tagvo.records import Frame
+from tagvo.records import Frame, PosePrior
 from vio.arms import Estimator, Output
 from vio.evaluate.records import Trajectory
 from vio.records import ImuSample
@@ -41,8 +41,12 @@ def run(
     estimators: Sequence[Estimator],
     watch: Stopwatch,
     each_frame: Callable[[], None] = lambda: None,
+    prior: Callable[[int], PosePrior | None] = lambda t_ns: None,
 ) -> RunResult:
-    """Feed events in order to tagvo and the estimators; Ctrl-C ends it and keeps what there is."""
+    """Feed events in order to tagvo and the estimators; Ctrl-C ends it and keeps what there is.
+
+    prior: where the camera should be at a stamp, for tagvo; each_frame: called after every frame.
+    """
     result = RunResult({e.name: [] for e in estimators})
     try:
         for event in events:
@@ -52,10 +56,11 @@ def run(
                     _keep(result, estimator, estimator.imu(event))
                 continue
             watch.start()
-            trace = vo.trace(event)
+            trace = vo.trace(event, prior(event.t_ns))
             _count(result, trace)
             for estimator in estimators:
-                _keep(result, estimator, estimator.pose(event, trace.pose))
+                _keep(result, estimator, estimator.pose(event, trace.pose, trace.observations))
+            watch.lap("filter")
             watch.stop()
             each_frame()
     except KeyboardInterrupt:
@@ -64,8 +69,14 @@ def run(
 
 
 def _keep(result: RunResult, estimator: Estimator, output: Output | None) -> None:
-    if output is not None:
-        result.outputs[estimator.name].append(output)
+    """Keep one output a stamp: at equal times of arrival the later word counts, else the first."""
+    if output is None:
+        return
+    outputs = result.outputs[estimator.name]
+    if not outputs or outputs[-1].t_ns != output.t_ns:
+        outputs.append(output)
+    elif outputs[-1].known_ns == output.known_ns:
+        outputs[-1] = output
 
 
 def _count(result: RunResult, trace: Trace) -> None:

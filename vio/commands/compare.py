@@ -42,9 +42,9 @@ def command(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip
-    from vio.commands.replay_log import replay_log, vo_arms
+    from vio.commands.replay_log import all_vo_arms, replay_log
 
-    done = replay_log(choice, vo_arms, needs_truth=True)
+    done = replay_log(choice, all_vo_arms, vo_only=vo_only, needs_truth=True)
     judge(done, out, skip, align, f"tagvio compare {done.log.path.name}")
     if done.result.interrupted:
         raise typer.Exit(130)
@@ -77,7 +77,7 @@ def judge(done: "Replayed", out: Path, skip: float, align: Align, title: str) ->
     content = comparison(
         trajectories, log.truth, align=align,
         t_start_ns=window.t_start_ns, t_end_ns=window.t_end_ns,
-        frames=frame_counts(result), timing_ms=done.timing_ms,
+        frames=frame_counts(done), timing_ms=done.timing_ms,
     )  # fmt: skip
     for one in trajectories:
         write_tum(out / f"{one.name}.tum", *tum_rows(one))
@@ -86,10 +86,10 @@ def judge(done: "Replayed", out: Path, skip: float, align: Align, title: str) ->
     extra = Extra(
         title, window, t_zero_ns=log.t0_ns,
         tags_t_ns=np.array(result.tags_t_ns, dtype=np.int64),
-        tags_count=np.array(result.tags_count, dtype=np.int64), notes=tuple(log.warnings),
+        tags_count=np.array(result.tags_count, dtype=np.int64), notes=tuple(done.warnings),
     )  # fmt: skip
     write_report(out / "report.html", content, trajectories, log.truth, log.tag_map, extra)
-    for text in log.warnings:
+    for text in done.warnings:
         typer.echo(f"warning: {text}", err=True)
     Console().print(table(content))
     typer.echo(f"{out / 'comparison.json'}, {out / 'report.html'}")

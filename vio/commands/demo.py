@@ -41,7 +41,7 @@ def command(
         choice = opt.Choice(
             log, out / name, config_path(config), (), "imu0", False, None, 1, None, 0.0
         )
-        done = replay_log(choice, vo_arms, needs_truth=True)
+        done = replay_log(choice, vo_arms, vo_only=True, needs_truth=True)
         typer.echo(f"\n{title[0].upper()}{title[1:]}:")
         contents[name] = judge(done, out / name, 0.0, "none", f"tagvio demo: {title}")
         if done.result.interrupted:

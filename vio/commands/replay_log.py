@@ -5,10 +5,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from tagvo.pipeline import TagVO
+from vio import estimator as flt
 from vio.arms import Estimator, VoArm, VoFirArm
 from vio.commands.options import Choice, open_all, progress, waiting
 from vio.config import Config
 from vio.errors import EvaluationError
+from vio.filter_arm import VioArm, VoKfArm
+from vio.imucheck import check_imu
+from vio.records import ImuNoise
 from vio.run import RunResult, run
 from vio.sources.log import FlightLog
 from vio.stopwatch import Stopwatch
@@ -18,23 +22,36 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
+_PIXHAWK = ImuNoise(accel_density=5e-3, accel_walk=5e-4, gyro_density=3e-4, gyro_walk=2e-5)
+
+
+_FUSED = ("fused", "fused_position", "fused_rotation")
+_REJECTED = ("gated", "singular", "too_old", "too_early", "duplicate", "pose_not_finite")
+
+
 @dataclass(frozen=True, slots=True)
 class Replayed:
-    """A log that was run: with what configuration, what came out, how long the stages took."""
+    """A log that was run: with what configuration, what came out, how long the stages took.
+
+    vio: the filter's arm, None where it did not run; warnings: what a person should know.
+    """
 
     log: FlightLog
     config: Config
     result: RunResult
     timing_ms: dict[str, dict[str, float]]
+    vio: VioArm | None
+    warnings: list[str]
 
 
 def replay_log(
     choice: Choice,
     arms: "Callable[[FlightLog, Config], Sequence[Estimator]]",
     *,
+    vo_only: bool,
     needs_truth: bool = False,
 ) -> Replayed:
-    """Run a log as the options say through the arms made for it."""
+    """Run a log through the VO arms made for it and, unless vo_only, through the filter."""
     log, config = open_all(choice)
     if needs_truth and log.truth is None:
         raise EvaluationError(
@@ -45,9 +62,33 @@ def replay_log(
         warm_up(log.camera, config.tagvo)
     watch = Stopwatch()
     vo = TagVO(log.camera, log.tag_map, config.tagvo, lap=watch.lap)
+    vio, warnings = (None, []) if vo_only else _filter(log, config)
+    estimators = [*arms(log, config), *([] if vio is None else [vio])]
+    ask = config.tagvo.ambiguity == "prior" and vio is not None
     with progress(log.frame_count, "frames") as step:
-        result = run(log.events(), vo, arms(log, config), watch, step)
-    return Replayed(log, config, result, watch.summary())
+        result = run(
+            log.events(), vo, estimators, watch, step, vio.prior if ask and vio else _no_prior
+        )
+    if vio is not None and not result.outputs[vio.name]:
+        why = ", ".join(vio.estimator.health().reasons)
+        warnings.append(f"{log.path}: the filter never started ({why}); vio.tum is empty")
+    return Replayed(log, config, result, watch.summary(), vio, [*log.warnings, *warnings])
+
+
+def _no_prior(t_ns: int) -> None:
+    return None
+
+
+def _filter(log: FlightLog, config: Config) -> tuple[VioArm | None, list[str]]:
+    """The filter's arm for a log, and warnings; none where the log has no IMU (the log says so)."""
+    if log.imu is None:
+        return None, []
+    shift = round(log.camera.timeshift_s * 1e9)
+    warnings = check_imu(log.imu, log.frames.t_ns + shift, str(log.path))
+    core = flt.Estimator(
+        config.vio, log.camera, log.imu_noise or _PIXHAWK, log.tag_map, config.tagvo.floor
+    )
+    return VioArm(core, config.vio.update == "corners"), warnings
 
 
 def vo_arms(log: FlightLog, config: Config) -> list[Estimator]:
@@ -56,26 +97,39 @@ def vo_arms(log: FlightLog, config: Config) -> list[Estimator]:
     return [VoArm(log.camera), VoFirArm(log.camera, taps, config.tagvo.fir_gap_s)]
 
 
-def frame_counts(result: RunResult) -> dict[str, int | None]:
+def all_vo_arms(log: FlightLog, config: Config) -> list[Estimator]:
+    """Every VO-only arm of a comparison: `vo`, `vo_fir` and `vo_kf`."""
+    return [*vo_arms(log, config), VoKfArm(log.camera)]
+
+
+def frame_counts(done: Replayed) -> dict[str, int | None]:
     """The `frames` of run.json and comparison.json; None: no filter ran."""
-    return {
-        "total": result.frames,
-        "with_pose": result.with_pose,
+    counts: dict[str, int | None] = {
+        "total": done.result.frames,
+        "with_pose": done.result.with_pose,
         "fused": None,
         "rejected": None,
     }
+    if done.vio is not None:
+        verdicts = done.vio.estimator.counters
+        counts["fused"] = sum(verdicts.get(v, 0) for v in _FUSED)
+        counts["rejected"] = sum(verdicts.get(v, 0) for v in _REJECTED)
+    return counts
 
 
 def run_summary(done: Replayed) -> dict[str, Any]:
     """The content of `run.json`."""
-    result = done.result
+    result, filtered = done.result, Counter[str]()
+    if done.vio is not None:
+        filtered = Counter(done.vio.estimator.counters)
+    verdicts = {v: filtered.pop(v) for v in _REJECTED if v in filtered}
     return {
-        "frames": frame_counts(result),
-        "imu": {"total": result.imu},
-        "rejected": dict(sorted(result.reasons.items())),
-        "states": {},
+        "frames": frame_counts(done),
+        "imu": {"total": result.imu, **{k: v for k, v in filtered.items() if k[:4] == "imu_"}},
+        "rejected": dict(sorted((result.reasons + Counter(verdicts)).items())),
+        "states": {} if done.vio is None else dict(sorted(done.vio.states.items())),
         "timing_ms": done.timing_ms,
-        "counters": dict(sorted((result.counters + Counter(done.log.counters)).items())),
-        "warnings": done.log.warnings,
+        "counters": dict(sorted((result.counters + Counter(done.log.counters) + filtered).items())),
+        "warnings": done.warnings,
         "interrupted": result.interrupted,
     }

@@ -20,10 +20,12 @@ def command(
     blackout: opt.Blackout = None,
     latency: opt.Latency = 0.0,
 ) -> None:
-    """Run a flight log and write DIR/vo.tum (a line a frame with a pose) and DIR/run.json.
+    """Run a flight log through tagvo and the filter; write trajectories and counts.
 
-    Poses are those of the IMU in the map, at capture time, in the form that evo reads. run.json
-    counts frames, faults of the log, dropped detections by cause, and times each stage.
+    DIR/vo.tum: a line a frame with a pose, at capture time. DIR/vio.tum: a line an IMU sample once
+    the filter has started. Poses are those of the IMU in the map, in the form that evo reads.
+    DIR/run.json counts frames, faults of the log, what was dropped or rejected and why, the
+    filter's states, and times each stage.
     """
     from vio.commands.replay_log import replay_log, run_summary, vo_arms
     from vio.evaluate.compare import write_json
@@ -34,17 +36,21 @@ def command(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip
-    done = replay_log(choice, vo_arms)
+    done = replay_log(choice, vo_arms, vo_only=vo_only)
     name = "vo" if done.config.tagvo.fir == "none" else "vo_fir"
     write_tum(out / "vo.tum", *tum_rows(trajectory(name, done.result.outputs[name])))
+    files = [out / "vo.tum"]
+    if done.vio is not None:
+        files.append(out / "vio.tum")
+        write_tum(files[1], *tum_rows(trajectory("vio", done.result.outputs["vio"])))
     summary = run_summary(done)
     write_json(out / "run.json", summary)
-    _report(summary, out, done.log.warnings)
+    _report(summary, [*files, out / "run.json"], done.warnings)
     if done.result.interrupted:
         raise typer.Exit(130)
 
 
-def _report(summary: dict[str, object], out: Path, warnings: list[str]) -> None:
+def _report(summary: dict[str, object], files: list[Path], warnings: list[str]) -> None:
     frames, timing = summary["frames"], summary["timing_ms"]
     assert isinstance(frames, dict)
     assert isinstance(timing, dict)
@@ -57,4 +63,11 @@ def _report(summary: dict[str, object], out: Path, warnings: list[str]) -> None:
     if "total" in timing:
         ms = timing["total"]
         typer.echo(f"a frame took {ms['p50']:.2f} ms (p99 {ms['p99']:.2f} ms)")
-    typer.echo(f"{out / 'vo.tum'}, {out / 'run.json'}")
+    if frames["fused"] is not None:
+        states = summary["states"]
+        assert isinstance(states, dict)
+        spent = ", ".join(f"{n} {state}" for state, n in states.items())
+        typer.echo(
+            f"the filter took {frames['fused']}, rejected {frames['rejected']}; samples: {spent}"
+        )
+    typer.echo(", ".join(map(str, files)))
