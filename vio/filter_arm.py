@@ -7,7 +7,8 @@ import numpy as np
 
 from tagvo.camera import Camera
 from tagvo.geometry import Array
-from tagvo.records import Frame, Observations, PoseMeasurement, PosePrior
+from tagvo.pipeline import TagVO
+from tagvo.records import Detections, Frame, Observations, PoseMeasurement, PosePrior
 from vio.arms import Output, VoArm
 from vio.estimator import Estimator
 from vio.records import ImuSample, NavState
@@ -21,8 +22,15 @@ class VioArm:
 
     name = "vio"
 
-    def __init__(self, estimator: Estimator, corners: bool = False) -> None:
+    def __init__(
+        self, estimator: Estimator, corners: bool = False, second_look: TagVO | None = None
+    ) -> None:
+        """corners: correct by each tag's corners, not by the pose of the frame.
+
+        second_look: asked again, with the filter's prior, about a frame whose pose is ambiguous.
+        """
         self.estimator = estimator
+        self._second_look = second_look
         self.states: Counter[str] = Counter()
         self._corners = corners
 
@@ -40,6 +48,7 @@ class VioArm:
         self, frame: Frame, measured: PoseMeasurement | None, seen: Observations
     ) -> Output | None:
         """Fuse a frame, by its pose or by the tags' corners; the state as known then."""
+        measured = self._resolved(frame.t_ns, measured, seen)
         if self._corners and len(seen):
             self.estimator.corners(frame.t_ns, seen, measured)
         elif measured is not None:
@@ -47,6 +56,18 @@ class VioArm:
         nav = self.estimator.nav()
         known_ns = frame.t_ns if frame.arrival_ns is None else frame.arrival_ns
         return None if nav is None else _output(nav, known_ns)
+
+    def _resolved(
+        self, t_ns: int, measured: PoseMeasurement | None, seen: Observations
+    ) -> PoseMeasurement | None:
+        """The pose, its planar ambiguity settled by where the filter expects the camera."""
+        if self._second_look is None or measured is None or "ambiguous" not in measured.flags:
+            return measured
+        prior = self.estimator.prior(t_ns)
+        if prior is None:
+            return measured
+        tags = Detections.of(seen.tag_id, seen.corners_px, sigma_px=seen.sigma_px)
+        return self._second_look(Frame(t_ns, detections=tags), prior) or measured
 
 
 def _output(nav: NavState, known_ns: int) -> Output:

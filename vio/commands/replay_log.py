@@ -88,7 +88,11 @@ def _filter(log: FlightLog, config: Config) -> tuple[VioArm | None, list[str]]:
     core = flt.Estimator(
         config.vio, log.camera, log.imu_noise or _PIXHAWK, log.tag_map, config.tagvo.floor
     )
-    return VioArm(core, config.vio.update == "corners"), warnings
+    second_look = None
+    if config.tagvo.ambiguity == "consistent":  # the paper's way (first) is left as it is
+        asked = config.tagvo.model_copy(update={"ambiguity": "prior"})
+        second_look = TagVO(log.camera, log.tag_map, asked)
+    return VioArm(core, config.vio.update == "corners", second_look), warnings
 
 
 def vo_arms(log: FlightLog, config: Config) -> list[Estimator]:
