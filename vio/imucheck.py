@@ -1,0 +1,53 @@
+"""Whether an IMU track can be what it claims: wrong units and clocks get a word, not a divergence."""
+
+import numpy as np
+
+from tagvo.geometry import IntArray
+from vio.errors import LogError
+from vio.records import ImuTrack
+
+_GRAVITY = 9.81
+_TOLERANCE = 0.05
+_G_UNITS = (0.5, 2.0)  # median specific force in g [g]
+_SPINNING = 8.0  # [rad/s] a median rate that no vehicle flies
+_ROWS = 20
+
+
+def check_imu(track: ImuTrack, frames_t_ns: IntArray, where: str) -> list[str]:
+    """Warnings about a track beside its frames' stamps (in its clock); LogError where it is no use.
+
+    The median of the specific force is close to gravity in any flight; a vehicle does not spin.
+    """
+    gyro = np.linalg.norm(track.gyro_I, axis=-1)
+    accel = np.linalg.norm(track.accel_I, axis=-1)
+    known = np.isfinite(gyro) & np.isfinite(accel)
+    if int(known.sum()) < _ROWS:
+        raise LogError(f"{where}: {int(known.sum())} valid IMU rows; at least {_ROWS} are needed")
+    rate, force = float(np.median(gyro[known])), float(np.median(accel[known]))
+    if rate > _SPINNING:
+        raise LogError(
+            f"{where}: the median angular rate is {rate:.3g}; rad/s are needed, is this deg/s?"
+        )
+    if _G_UNITS[0] < force < _G_UNITS[1]:
+        raise LogError(
+            f"{where}: the median specific force is {force:.3g}; m/s^2 are needed, is this in g?"
+        )
+    _check_clocks(track.t_ns[known], frames_t_ns, where)
+    if abs(force / _GRAVITY - 1.0) > _TOLERANCE:
+        return [
+            f"{where}: the median specific force is {force:.4g} m/s^2, gravity {_GRAVITY}; the"
+            " accelerometer's scale is off by more than 5 %, or its unit is not m/s^2"
+        ]
+    return []
+
+
+def _check_clocks(imu_t_ns: IntArray, frames_t_ns: IntArray, where: str) -> None:
+    if len(frames_t_ns) == 0:
+        return
+    first, last = int(imu_t_ns.min()), int(imu_t_ns.max())
+    if ((frames_t_ns >= first) & (frames_t_ns <= last)).any():
+        return
+    raise LogError(
+        f"{where}: IMU stamps from {first} to {last}, frames from {int(frames_t_ns.min())} to"
+        f" {int(frames_t_ns.max())} ns; the clocks must overlap"
+    )
