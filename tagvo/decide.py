@@ -1,6 +1,6 @@
 """Turns the fused or the joint pose into the measurement, and says where it is undecided."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -93,8 +93,14 @@ def best_joint(
         return best, None, np.inf
     other = candidates.other(int(np.argmax(area_px)))
     rival = solve_joint(*other, tags, config)
-    if not np.isfinite(rival.cost) or _turn(best, rival) < _SAME_POSE:
+    if not np.isfinite(rival.cost):
         return best, None, np.inf
+    if _turn(best, rival) < _SAME_POSE:
+        if len(area_px) > 1:
+            return best, None, np.inf
+        # one flat valley from branch to branch, wider than its curvature at the lowest point says
+        rival = replace(rival, R_WC=other[0], p_WC=other[1])
+        return best, rival, max(float(candidates.gap[0]), 0.0)
     gap = rival.cost - best.cost
     if prior is not None:
         depth = np.full(1, float(np.median(candidates.depth)))

@@ -240,6 +240,9 @@ def _laying_share(
     1 unless a smaller share is decisively more likely (restricted maximum likelihood): a map is
     often laid better than it says, and then far tags deserve less say against near ones.
     """
+    dof = 8.0 * len(work.chi2) - 6.0
+    if cost > dof - 0.5 * np.sqrt(2.0 * dof):  # residuals no smaller than stated: nothing to ask
+        return 1.0
     R_new, p_new = np.empty((3, 3)), np.empty(3)
     best, share = _misfit_of_sigmas(cost, 0.0, work), 1.0
     for trial in (1.0 / 3.0, 0.1):

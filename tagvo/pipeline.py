@@ -39,14 +39,15 @@ from tagvo.tagpose import solve_tags
 class FusedPose:
     """The paper's pose: of the body (p_WI (3,), R_WI (3, 3)) and of the camera (p_WC, R_WC).
 
-    cov (6, 6) as in PoseMeasurement; weights (k,) of the tags that were kept.
+    cov (6, 6) as in PoseMeasurement, None on the way to a joint pose; weights (k,) of the tags
+    that were kept.
     """
 
     p_WI: Array
     R_WI: Array
     p_WC: Array
     R_WC: Array
-    cov: Array
+    cov: Array | None
     weights: Array
 
 
@@ -127,7 +128,7 @@ class TagVO:
         fused, mean_flags = self._fuse(bodies, kept, tags)
         lap("fuse")
         joint, pose, reason = None, None, "inconsistent"
-        if cfg.pose == "fused":
+        if fused.cov is not None:
             pose = measure_fused(
                 frame.t_ns, (fused.R_WC, fused.p_WC), fused.cov, obs.tag_id, kept, candidates,
                 {*flags, *mean_flags},
@@ -171,7 +172,8 @@ class TagVO:
         self, obs: Observations, tags: TagBatch, area: Array, prior: PosePrior | None
     ) -> tuple[TagPoses, Candidates]:
         """Both poses of every tag, and which of them each takes."""
-        poses = solve_tags(obs, tags.corners_T, self.tag_map.size[obs.row], self.config.refine)
+        steps = self.config.refine if self.config.pose == "fused" else 0  # joint refines the whole
+        poses = solve_tags(obs, tags.corners_T, self.tag_map.size[obs.row], steps)
         R_WC, p_WC, depth = camera_candidates(poses.R_CT, poses.p_CT, tags.R_WT, tags.p_WT)
         gap = chi2_gap(poses.rms_px, obs.sigma_px)
         branch = AMBIGUITY[self.config.ambiguity](R_WC, p_WC, depth, gap, area, prior)
@@ -186,7 +188,9 @@ class TagVO:
         p_WI, R_WI, flags = fuse(bodies.p_WI[kept], bodies.R_WI[kept], weights, cfg.mean)
         R_WC = R_WI @ camera.R_CI.T
         p_WC = p_WI - R_WC @ camera.p_CI
-        cov = mean_covariance(R_WC, p_WC, tags, kept, weights / weights.sum())
+        cov = None  # of no use to the joint pose, which starts here
+        if cfg.pose == "fused":
+            cov = mean_covariance(R_WC, p_WC, tags, kept, weights / weights.sum())
         return FusedPose(p_WI, R_WI, p_WC, R_WC, cov, weights), flags
 
     def _joint(

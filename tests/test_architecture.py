@@ -33,7 +33,7 @@ TAGVO = (
 STAGES = TAGVO[5]
 VIO = (
     {"errors"},
-    {"records", "frames", "stopwatch", "interrupt", "layout", "settings"},
+    {"records", "frames", "stopwatch", "interrupt", "assets", "layout", "settings"},
     {"imu", "memory", "pivot", "intake", "imucheck", "health"},
     {"predicted", "gate", "rig", "clock", "start"},
     {"eskf", "corners"},

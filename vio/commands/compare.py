@@ -1,7 +1,7 @@
 """`tagvio compare`: one log through several estimators, each against truth."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
@@ -45,7 +45,7 @@ def command(
     from vio.commands.replay_log import replay_log, vo_arms
 
     done = replay_log(choice, vo_arms, needs_truth=True)
-    _judge(done, out, skip, align)
+    judge(done, out, skip, align, f"tagvio compare {done.log.path.name}")
     if done.result.interrupted:
         raise typer.Exit(130)
 
@@ -59,7 +59,8 @@ def _window(log: "FlightLog", skip: float) -> "Window":
     return Window(start + round(skip * 1e9), max(log.end_ns, log.end_ns + shift_ns))
 
 
-def _judge(done: "Replayed", out: Path, skip: float, align: Align) -> None:
+def judge(done: "Replayed", out: Path, skip: float, align: Align, title: str) -> "dict[str, Any]":
+    """Write what a comparison leaves in `out`, print its table; the content of comparison.json."""
     import numpy as np
     from rich.console import Console
 
@@ -83,7 +84,7 @@ def _judge(done: "Replayed", out: Path, skip: float, align: Align) -> None:
     write_json(out / "comparison.json", content)
     write_json(out / "run.json", run_summary(done))
     extra = Extra(
-        f"tagvio compare {log.path.name}", window, t_zero_ns=log.t0_ns,
+        title, window, t_zero_ns=log.t0_ns,
         tags_t_ns=np.array(result.tags_t_ns, dtype=np.int64),
         tags_count=np.array(result.tags_count, dtype=np.int64), notes=tuple(log.warnings),
     )  # fmt: skip
@@ -92,3 +93,4 @@ def _judge(done: "Replayed", out: Path, skip: float, align: Align) -> None:
         typer.echo(f"warning: {text}", err=True)
     Console().print(table(content))
     typer.echo(f"{out / 'comparison.json'}, {out / 'report.html'}")
+    return content

@@ -56,7 +56,7 @@ def trajectory_figure(judged: Sequence[Judged], truth: TruthTrack, tag_map: TagM
             "xaxis_title": "x m",
             "yaxis_title": "y m",
             "zaxis_title": "z m",
-            "camera": {"eye": {"x": 1.3, "y": 1.3, "z": 1.0}, "up": _up(tag_map)},
+            "camera": {"eye": {"x": 1.6, "y": 1.6, "z": 1.2}, "up": _up(tag_map)},
         },
     )
     return fig

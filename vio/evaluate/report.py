@@ -74,7 +74,8 @@ def write_report(
 
 def head_section(m: Material) -> str:
     """Title, verdict and what was compared with what."""
-    frames = ", ".join(f"{k.replace('_', ' ')} {v}" for k, v in m.content["frames"].items())
+    known = {k: v for k, v in m.content["frames"].items() if v is not None}
+    frames = ", ".join(f"{k.replace('_', ' ')} {v}" for k, v in known.items())
     t = m.truth
     truth = (
         f"Truth: {len(t)} rows ({t.bad} bad and {t.repeated} repeated dropped,"

@@ -1,0 +1,172 @@
+"""Writes a flight log, row by row while it flies, in the layout that `FlightLog` opens."""
+
+import os
+from pathlib import Path
+from types import TracebackType
+from typing import TextIO
+
+import numpy as np
+import yaml
+
+from tagvo.camera import Camera
+from tagvo.camera_io import save_camera
+from tagvo.geometry import Array
+from tagvo.records import Detections, Frame
+from tagvo.tagmap import TagMap, save_map
+from tagvo.textfile import write_atomic
+from vio.errors import LogError
+from vio.records import ImuNoise, ImuSample, Phase
+
+_CAM = Path("mav0/cam0")
+_TRUTH = Path("mav0/state_groundtruth_estimate0/data.csv")
+_CORNERS = ",".join(f"{axis}_{corner}" for corner in ("tl", "tr", "br", "bl") for axis in "uv")
+_HEADERS = {
+    "frames": "#timestamp [ns],filename,arrival_ns",
+    "detections": f"#timestamp [ns],tag_id,{_CORNERS},hamming,decision_margin",
+    "imu": "#timestamp [ns],w_x,w_y,w_z [rad/s],a_x,a_y,a_z [m/s^2],arrival_ns",
+    "truth": "#timestamp [ns],p_x,p_y,p_z [m],q_w,q_x,q_y,q_z,v_x,v_y,v_z [m/s]",
+}
+_LAYOUT = (  # all that a log may hold: what `replace` removes
+    "tagmap.yaml", "camchain-imucam.yaml", "imu.yaml", "config.yaml", "phases.csv",
+    "mav0/*/data.csv", "mav0/*/sensor.yaml", "mav0/cam0/detections.csv", "mav0/cam0/data/*.png",
+)  # fmt: skip
+
+
+class LogWriter:
+    """Owns the files of one log; a file exists from its first row on, and every row is whole.
+
+    A crash of the program loses nothing that was written; `sync` (and `close`) also survive a
+    power cut. Times are integer ns as in the contracts: frames in the camera's clock.
+    """
+
+    def __init__(self, path: Path, *, replace: bool = False) -> None:
+        """path: made where missing; LogError where it holds a log, unless that is to be replaced.
+
+        replace: remove the files of the log that is there, and nothing else.
+        """
+        self.path = path
+        self._files: dict[Path, TextIO] = {}
+        there = [file for pattern in _LAYOUT for file in path.glob(pattern)]
+        if there and not replace:
+            raise LogError(f"{path}: holds a log already ({there[0].name}); name another folder")
+        for file in there:
+            file.unlink()
+        path.mkdir(parents=True, exist_ok=True)
+
+    def __enter__(self) -> "LogWriter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def setup(
+        self,
+        tag_map: TagMap,
+        camera: Camera,
+        noise: ImuNoise | None = None,
+        config_text: str | None = None,
+    ) -> None:
+        """Write what holds for the whole log: map, calibration, IMU noise, configuration."""
+        save_map(tag_map, self.path / "tagmap.yaml")
+        save_camera(camera, self.path / "camchain-imucam.yaml")
+        if noise is not None:
+            write_atomic(self.path / "imu.yaml", _noise_yaml(noise))
+        if config_text is not None:
+            write_atomic(self.path / "config.yaml", config_text)
+
+    def frame(self, frame: Frame) -> None:
+        """A row for the frame; its image as PNG and its detections, where it has them."""
+        name = "" if frame.image is None else f"{frame.t_ns}.png"
+        if frame.image is not None:
+            _write_png(self.path / _CAM / "data" / name, frame.image)
+        if frame.detections is not None:
+            self._tags(frame.t_ns, frame.detections)
+        arrival = frame.t_ns if frame.arrival_ns is None else frame.arrival_ns
+        self._row(_CAM / "data.csv", "frames", f"{frame.t_ns},{name},{arrival}")
+
+    def imu(self, sample: ImuSample, name: str = "imu0") -> None:
+        """A row for an IMU sample in mav0/NAME."""
+        values = _numbers([*sample.gyro_I, *sample.accel_I], 12)
+        row = f"{sample.t_ns},{values},{sample.arrival_ns}"
+        self._row(Path("mav0") / name / "data.csv", "imu", row)
+
+    def truth(self, t_ns: int, p_WI: Array, q_WI: Array, v_WI: Array) -> None:
+        """A row of truth; p (3,) [m], q (4,) wxyz, v (3,) [m/s]."""
+        row = f"{t_ns},{_numbers(p_WI, 9)},{_numbers(q_WI, 12)},{_numbers(v_WI, 9)}"
+        self._row(_TRUTH, "truth", row)
+
+    def phases(self, phases: tuple[Phase, ...]) -> None:
+        """The named parts of the flight, all at once."""
+        rows = [f"{p.name},{p.t_start_ns},{p.t_end_ns}" for p in phases]
+        write_atomic(
+            self.path / "phases.csv", "\n".join(["name,t_start_ns,t_end_ns", *rows]) + "\n"
+        )
+
+    def sync(self) -> None:
+        """Bring every row written so far to the disk itself."""
+        for file in self._files.values():
+            file.flush()
+            os.fsync(file.fileno())
+
+    def close(self) -> None:
+        """Sync and close; rows written afterwards open their files again."""
+        self.sync()
+        for file in self._files.values():
+            file.close()
+        self._files.clear()
+
+    def _tags(self, t_ns: int, found: Detections) -> None:
+        for i in range(len(found)):
+            margin = found.margin[i]
+            row = (
+                f"{t_ns},{found.tag_id[i]},{_numbers(found.corners_px[i].ravel(), 6)},"
+                f"{found.hamming[i]},{'' if np.isnan(margin) else f'{margin:.3f}'}"
+            )
+            self._row(_CAM / "detections.csv", "detections", row)
+
+    def _row(self, name: Path, kind: str, row: str) -> None:
+        """Append a row to a file below the log, opened (with its header) where it is not yet."""
+        file = self._files.get(name)
+        if file is None:
+            path = self.path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            fresh = not path.exists()
+            file = self._files[name] = path.open("a", encoding="utf-8", buffering=1)
+            if fresh:
+                file.write(_HEADERS[kind] + "\n")
+        file.write(row + "\n")
+
+
+def _numbers(values: "Array | list[float]", digits: int) -> str:
+    return ",".join(f"{float(value):.{digits}f}" for value in values)
+
+
+def _write_png(path: Path, image: "np.ndarray[tuple[int, ...], np.dtype[np.uint8]]") -> None:
+    """A grey or BGR image as PNG; the name appears when the file is whole."""
+    import cv2
+
+    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not done:
+        raise LogError(f"{path}: an image of shape {image.shape} cannot be written as PNG")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_suffix(".tmp")
+    temporary.write_bytes(data.tobytes())
+    temporary.replace(path)
+
+
+def _noise_yaml(noise: ImuNoise) -> str:
+    block: dict[str, object] = {"rostopic": "/imu0"}
+    if noise.rate_hz is not None:
+        block["update_rate"] = noise.rate_hz
+    block |= {
+        "accelerometer_noise_density": noise.accel_density,
+        "accelerometer_random_walk": noise.accel_walk,
+        "gyroscope_noise_density": noise.gyro_density,
+        "gyroscope_random_walk": noise.gyro_walk,
+    }
+    return yaml.safe_dump(block, sort_keys=False)
