@@ -8,6 +8,7 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.camera import Camera
 from tagvo.geometry import Array
+from tagvo.pipeline import Trace
 from tagvo.records import Frame, PoseMeasurement
 from tagvo.smoothing import Fir
 from vio.records import ImuSample
@@ -38,8 +39,10 @@ class Estimator(Protocol):
     def imu(self, sample: ImuSample) -> Output | None:
         """Take an IMU sample."""
 
-    def pose(self, frame: Frame, measured: PoseMeasurement | None) -> Output | None:
-        """Take what tagvo made of a frame (None: no pose)."""
+    def pose(
+        self, frame: Frame, measured: PoseMeasurement | None, trace: Trace | None = None
+    ) -> Output | None:
+        """Take what tagvo made of a frame (None: no pose), and how it came to it."""
 
 
 def body_output(frame: Frame, measured: PoseMeasurement, camera: Camera) -> Output:
@@ -68,7 +71,9 @@ class VoArm:
         """VO knows no IMU."""
         return None
 
-    def pose(self, frame: Frame, measured: PoseMeasurement | None) -> Output | None:
+    def pose(
+        self, frame: Frame, measured: PoseMeasurement | None, trace: Trace | None = None
+    ) -> Output | None:
         """The pose of I at the capture of this frame."""
         return None if measured is None else body_output(frame, measured, self._camera)
 
@@ -82,7 +87,9 @@ class VoFirArm(VoArm):
         super().__init__(camera)
         self._fir = Fir(taps, gap_s)
 
-    def pose(self, frame: Frame, measured: PoseMeasurement | None) -> Output | None:
+    def pose(
+        self, frame: Frame, measured: PoseMeasurement | None, trace: Trace | None = None
+    ) -> Output | None:
         """The smoothed pose at this frame; its covariance is not known: the errors repeat."""
         raw = super().pose(frame, measured)
         if raw is None:

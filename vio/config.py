@@ -9,6 +9,7 @@ from pydantic import BaseModel, field_validator
 from tagvo.config import TagvoConfig, validated
 from tagvo.errors import ConfigError
 from tagvo.textfile import parse_yaml, read_yaml
+from vio.settings import VioConfig
 
 _IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 Row = tuple[float, float, float, float]
@@ -38,6 +39,7 @@ class Config(BaseModel, frozen=True, extra="forbid"):
 
     tagvo: TagvoConfig = TagvoConfig()
     vehicle: VehicleConfig = VehicleConfig()
+    vio: VioConfig = VioConfig()
 
 
 def load_config(path: Path | None, assignments: Sequence[str] = ()) -> Config:

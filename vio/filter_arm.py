@@ -1,41 +1,59 @@
 """The filter, and a constant-velocity Kalman filter on the VO, as arms of a comparison."""
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
 
 from tagvo.camera import Camera
 from tagvo.geometry import Array
-from tagvo.records import Frame, Observations, PoseMeasurement, PosePrior
+from tagvo.pipeline import TagVO, Trace
+from tagvo.records import Frame, PoseMeasurement
 from vio.arms import Output, VoArm
 from vio.estimator import Estimator
 from vio.records import ImuSample, NavState
 
+_FEW = 3  # so few tags may be ambiguous together
+
 
 class VioArm:
-    """`vio`: the filter; an output at every IMU sample once started, valid at its stamp."""
+    """`vio`: the filter; an output at every IMU sample once started, valid at its stamp.
+
+    A frame of few tags is solved anew with the filter's own prediction, which knows the branch of
+    the planar ambiguity; the VO's arms never see that.
+    """
 
     name = "vio"
 
-    def __init__(self, estimator: Estimator, corners: bool = False) -> None:
+    def __init__(
+        self, estimator: Estimator, vo: TagVO | None = None, corners: bool = False
+    ) -> None:
+        """vo: what solves ambiguous frames anew; corners: fuse the tags' corners, not the pose."""
         self.estimator = estimator
+        self.states: Counter[str] = Counter()
         self._corners = corners
+        self._vo = None
+        if vo is not None:
+            config = vo.config.model_copy(update={"ambiguity": "prior"})
+            self._vo = TagVO(vo.camera, vo.tag_map, config)
 
     def imu(self, sample: ImuSample) -> Output | None:
         """The state at this sample."""
         nav = self.estimator.imu(sample)
+        self.states[str(self.estimator.health().state)] += 1
         return None if nav is None else _output(nav, sample.arrival_ns)
 
-    def prior(self, t_ns: int) -> PosePrior | None:
-        """Where the camera should be at a stamp of its clock."""
-        return self.estimator.prior(t_ns)
-
     def pose(
-        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations | None = None
+        self, frame: Frame, measured: PoseMeasurement | None, trace: Trace | None = None
     ) -> Output | None:
         """Fuse a frame, by its pose or by the tags' corners; the output comes with the IMU."""
-        if self._corners and seen is not None and len(seen):
-            self.estimator.corners(frame.t_ns, seen, measured)
+        if self._vo is not None and trace is not None and 0 < len(trace.observations) <= _FEW:
+            prior = self.estimator.prior(frame.t_ns)
+            if prior is not None:
+                again = Frame(frame.t_ns, detections=trace.detections, arrival_ns=frame.arrival_ns)
+                measured = self._vo(again, prior)
+        if self._corners and trace is not None and len(trace.observations):
+            self.estimator.corners(frame.t_ns, trace.observations, measured)
         elif measured is not None:
             self.estimator.pose(measured)
         return None
@@ -62,7 +80,7 @@ class VoKfArm(VoArm):
         self._t_ns = 0
 
     def pose(
-        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations | None = None
+        self, frame: Frame, measured: PoseMeasurement | None, trace: Trace | None = None
     ) -> Output | None:
         """The filtered pose at this frame."""
         raw = super().pose(frame, measured)

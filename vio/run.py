@@ -21,7 +21,7 @@ class RunResult:
 
     outputs by estimator; frames, with_pose, imu: counts; reasons: frames without a pose by cause;
     counters: dropped detections and flags of poses by cause; tags_t_ns, tags_count: tags used in
-    each frame; interrupted: stopped by the user.
+    each frame; interrupted: stopped by the user; estimators: those that ran.
     """
 
     outputs: dict[str, list[Output]] = field(default_factory=dict)
@@ -33,6 +33,7 @@ class RunResult:
     tags_t_ns: list[int] = field(default_factory=list)
     tags_count: list[int] = field(default_factory=list)
     interrupted: bool = False
+    estimators: Sequence[Estimator] = ()
 
 
 def run(
@@ -43,7 +44,7 @@ def run(
     each_frame: Callable[[], None] = lambda: None,
 ) -> RunResult:
     """Feed events in order to tagvo and the estimators; Ctrl-C ends it and keeps what there is."""
-    result = RunResult({e.name: [] for e in estimators})
+    result = RunResult({e.name: [] for e in estimators}, estimators=estimators)
     try:
         for event in events:
             if isinstance(event, ImuSample):
@@ -55,7 +56,8 @@ def run(
             trace = vo.trace(event)
             _count(result, trace)
             for estimator in estimators:
-                _keep(result, estimator, estimator.pose(event, trace.pose))
+                _keep(result, estimator, estimator.pose(event, trace.pose, trace))
+            watch.lap("filter")
             watch.stop()
             each_frame()
     except KeyboardInterrupt:

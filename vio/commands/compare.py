@@ -42,9 +42,9 @@ def command(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip
-    from vio.commands.replay_log import replay_log, vo_arms
+    from vio.commands.replay_log import all_arms, replay_log, vo_arms
 
-    done = replay_log(choice, vo_arms, needs_truth=True)
+    done = replay_log(choice, vo_arms if vo_only else all_arms, needs_truth=True)
     judge(done, out, skip, align, f"tagvio compare {done.log.path.name}")
     if done.result.interrupted:
         raise typer.Exit(130)

@@ -9,6 +9,10 @@ from vio.arms import Estimator, VoArm, VoFirArm
 from vio.commands.options import Choice, open_all, progress, waiting
 from vio.config import Config
 from vio.errors import EvaluationError
+from vio.estimator import FUSED, REFUSED, USUAL_NOISE
+from vio.estimator import Estimator as FilterEstimator
+from vio.filter_arm import VioArm, VoKfArm
+from vio.imucheck import check_imu
 from vio.run import RunResult, run
 from vio.sources.log import FlightLog
 from vio.stopwatch import Stopwatch
@@ -56,26 +60,48 @@ def vo_arms(log: FlightLog, config: Config) -> list[Estimator]:
     return [VoArm(log.camera), VoFirArm(log.camera, taps, config.tagvo.fir_gap_s)]
 
 
+def all_arms(log: FlightLog, config: Config) -> list[Estimator]:
+    """The VO's arms, its Kalman filter, and the filter where the log has an IMU."""
+    arms: list[Estimator] = [*vo_arms(log, config), VoKfArm(log.camera)]
+    if log.imu is None:
+        return arms
+    where = f"{log.path} IMU"
+    log.warnings.extend(check_imu(log.imu, log.frames.t_ns, where))
+    noise = log.imu_noise or USUAL_NOISE
+    filter_ = FilterEstimator(config.vio, log.camera, noise, log.tag_map, config.tagvo.floor)
+    vo = TagVO(log.camera, log.tag_map, config.tagvo)
+    return [*arms, VioArm(filter_, vo, config.vio.update == "corners")]
+
+
 def frame_counts(result: RunResult) -> dict[str, int | None]:
     """The `frames` of run.json and comparison.json; None: no filter ran."""
+    arm = _vio_arm(result)
+    of = None if arm is None else arm.estimator.counters
     return {
         "total": result.frames,
         "with_pose": result.with_pose,
-        "fused": None,
-        "rejected": None,
+        "fused": None if of is None else sum(of.get(k, 0) for k in FUSED),
+        "rejected": None if of is None else sum(of.get(k, 0) for k in REFUSED),
     }
+
+
+def _vio_arm(result: RunResult) -> VioArm | None:
+    return next((a for a in result.estimators if isinstance(a, VioArm)), None)
 
 
 def run_summary(done: Replayed) -> dict[str, Any]:
     """The content of `run.json`."""
-    result = done.result
+    result, arm = done.result, _vio_arm(done.result)
+    counters = result.counters + Counter(done.log.counters)
+    if arm is not None:
+        counters.update({f"vio_{k}": n for k, n in arm.estimator.counters.items()})
     return {
         "frames": frame_counts(result),
         "imu": {"total": result.imu},
         "rejected": dict(sorted(result.reasons.items())),
-        "states": {},
+        "states": {} if arm is None else dict(sorted(arm.states.items())),
         "timing_ms": done.timing_ms,
-        "counters": dict(sorted((result.counters + Counter(done.log.counters)).items())),
+        "counters": dict(sorted(counters.items())),
         "warnings": done.log.warnings,
         "interrupted": result.interrupted,
     }

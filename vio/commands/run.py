@@ -25,7 +25,7 @@ def command(
     Poses are those of the IMU in the map, at capture time, in the form that evo reads. run.json
     counts frames, faults of the log, dropped detections by cause, and times each stage.
     """
-    from vio.commands.replay_log import replay_log, run_summary, vo_arms
+    from vio.commands.replay_log import all_arms, replay_log, run_summary, vo_arms
     from vio.evaluate.compare import write_json
     from vio.run import trajectory, tum_rows
     from vio.sinks.tum import write_tum
@@ -34,9 +34,11 @@ def command(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip
-    done = replay_log(choice, vo_arms)
+    done = replay_log(choice, vo_arms if vo_only else all_arms)
     name = "vo" if done.config.tagvo.fir == "none" else "vo_fir"
     write_tum(out / "vo.tum", *tum_rows(trajectory(name, done.result.outputs[name])))
+    if "vio" in done.result.outputs:
+        write_tum(out / "vio.tum", *tum_rows(trajectory("vio", done.result.outputs["vio"])))
     summary = run_summary(done)
     write_json(out / "run.json", summary)
     _report(summary, out, done.log.warnings)
