@@ -45,6 +45,7 @@ def run(
 ) -> RunResult:
     """Feed events in order to tagvo and the estimators; Ctrl-C ends it and keeps what there is."""
     result = RunResult({e.name: [] for e in estimators}, estimators=estimators)
+    filtered = any(e.name == "vio" for e in estimators)
     try:
         for event in events:
             if isinstance(event, ImuSample):
@@ -57,7 +58,8 @@ def run(
             _count(result, trace)
             for estimator in estimators:
                 _keep(result, estimator, estimator.pose(event, trace.pose, trace))
-            watch.lap("filter")
+            if filtered:
+                watch.lap("filter")
             watch.stop()
             each_frame()
     except KeyboardInterrupt:
