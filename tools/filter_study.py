@@ -113,7 +113,7 @@ def april(args):
 
 
 def synthesised(folder, imu_name, seed, hz, metres, deg, blackout, span=None):
-    """One run over a log's IMU with poses made from its truth; skip 8 s of it (or start in span)."""
+    """One run over a log's IMU with poses made from its truth; judged from 8 s on."""
     rng, tally = np.random.default_rng(seed), Tally()
     imu = read_imu(folder / "mav0" / imu_name / "data.csv", tally)
     truth = read_truth(folder / "mav0/state_groundtruth_estimate0/data.csv", tally)
@@ -161,7 +161,8 @@ def mh05(args):
         a = np.array([synthesised(folder, "imu0", s, *case) for s in range(args.seeds)])
         m = a.mean(axis=0)
         print(
-            f"{name:20s}{m[0]:6.1f}{m[1]:6.2f}{m[2]:7.3f}{m[3]:6.2f} | {a[:, 4].max():.4f} {a[:, 5].max():.3f}"
+            f"{name:20s}{m[0]:6.1f}{m[1]:6.2f}{m[2]:7.3f}{m[3]:6.2f} |"
+            f" {a[:, 4].max():.4f} {a[:, 5].max():.3f}"
         )
 
 
@@ -200,9 +201,10 @@ def simulated(name, seed, told, noise=None, begin_s=0.0, seconds=None):
     for t, kind, i in sorted(events):
         if kind == 1:
             estimator.pose(stream.poses[i])
-        elif (nav := estimator.imu(imu.sample(i))) is not None and t > (begin_s + 3.0) * 1e9:
-            if i % 4 == 0:
-                out.add(nav, truth.p_WI[i], truth.R_WI[i], truth.v_WI[i])
+            continue
+        nav = estimator.imu(imu.sample(i))
+        if nav is not None and t > (begin_s + 3.0) * 1e9 and i % 4 == 0:
+            out.add(nav, truth.p_WI[i], truth.R_WI[i], truth.v_WI[i])
     x = estimator.state()
     turned = np.degrees(geo.angle(RIG.R_CI @ geo.matrix_from_quat(x[16:20])))
     return out, 1e3 * (x[20] - RIG.timeshift_s), turned
@@ -219,7 +221,8 @@ def sim(args):
             q = np.sqrt(np.mean(np.square(a), axis=0))
             who = "told everything" if told else "the filter"
             print(
-                f"{name} {who:16s}{q[0] / 10:6.2f}{q[1]:6.2f}{100 * q[2]:6.2f} |{a[:, 3].mean():6.2f} |{q[4]:6.1f}{q[5]:6.2f}"
+                f"{name} {who:16s}{q[0] / 10:6.2f}{q[1]:6.2f}{100 * q[2]:6.2f} |"
+                f"{a[:, 3].mean():6.2f} |{q[4]:6.1f}{q[5]:6.2f}"
             )
 
 
