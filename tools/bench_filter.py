@@ -73,11 +73,11 @@ def ours(n, repeat):
     from vio.eskf import correct_pose
     from vio.imu import propagate
 
-    q, w, f, scale = noise(), np.zeros(3), np.array([0.0, 0.0, 9.81]), np.ones(6)
+    q, w, rates = noise(), np.zeros(3), np.array([0.0] * 5 + [9.81] + [1.0] * 6)
     z, y = late_pose(0)[1][2:], np.empty(6)
     x, P = a_state(n)
-    propagate(x, P, w, f, 0.005, q, scale)
-    predict = median_us(lambda: propagate(x, P, w, f, 0.005, q, scale), repeat)
+    propagate(x, P, rates, 0.005, q)
+    predict = median_us(lambda: propagate(x, P, rates, 0.005, q), repeat)
     P0 = 1e-4 * np.eye(n)
     correct_pose(x, P, w, z, 4.0, 1.0, y)
 

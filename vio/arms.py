@@ -39,7 +39,7 @@ class Estimator(Protocol):
         """Take an IMU sample."""
 
     def pose(
-        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations
+        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations | None = None
     ) -> Output | None:
         """Take what tagvo made of a frame: its pose (None: there is none) and the tags seen."""
 
@@ -71,7 +71,7 @@ class VoArm:
         return None
 
     def pose(
-        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations
+        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations | None = None
     ) -> Output | None:
         """The pose of I at the capture of this frame."""
         return None if measured is None else body_output(frame, measured, self._camera)
@@ -87,7 +87,7 @@ class VoFirArm(VoArm):
         self._fir = Fir(taps, gap_s)
 
     def pose(
-        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations
+        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations | None = None
     ) -> Output | None:
         """The smoothed pose at this frame; its covariance is not known: the errors repeat."""
         raw = super().pose(frame, measured, seen)

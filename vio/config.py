@@ -38,8 +38,8 @@ class Config(BaseModel, frozen=True, extra="forbid"):
     """Everything that a configuration file may hold; a missing key has its default."""
 
     tagvo: TagvoConfig = TagvoConfig()
-    vio: VioConfig = VioConfig()
     vehicle: VehicleConfig = VehicleConfig()
+    vio: VioConfig = VioConfig()
 
 
 def load_config(path: Path | None, assignments: Sequence[str] = ()) -> Config:

@@ -34,6 +34,11 @@ VERDICTS = {
     at.SINGULAR: "singular",
 }
 
+FUSED = ("fused", "fused_position", "fused_rotation")
+REFUSED = ("gated", "singular", "too_old", "too_early", "duplicate")
+# a Pixhawk's over MAVLink: where a log has no imu.yaml
+USUAL_NOISE = ImuNoise(5e-3, 5e-4, 3e-4, 2e-5)
+
 
 def process_noise(noise: ImuNoise, config: VioConfig) -> Array:
     """The vector q of `layout` from an IMU's densities and the configuration; (10,)."""

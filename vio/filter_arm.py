@@ -23,16 +23,19 @@ class VioArm:
     name = "vio"
 
     def __init__(
-        self, estimator: Estimator, corners: bool = False, second_look: TagVO | None = None
+        self, estimator: Estimator, vo: TagVO | None = None, corners: bool = False
     ) -> None:
-        """corners: correct by each tag's corners, not by the pose of the frame.
+        """vo: is asked again, with the filter's prior, about a frame whose pose is ambiguous.
 
-        second_look: asked again, with the filter's prior, about a frame whose pose is ambiguous.
+        corners: correct by each tag's corners, not by the pose of the frame.
         """
         self.estimator = estimator
-        self._second_look = second_look
         self.states: Counter[str] = Counter()
         self._corners = corners
+        self._second_look = None
+        if vo is not None and vo.config.ambiguity == "consistent":  # the paper's way stays its own
+            asked = vo.config.model_copy(update={"ambiguity": "prior"})
+            self._second_look = TagVO(vo.camera, vo.tag_map, asked)
 
     def imu(self, sample: ImuSample) -> Output | None:
         """The state at this sample."""
@@ -45,11 +48,11 @@ class VioArm:
         return self.estimator.prior(t_ns)
 
     def pose(
-        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations
+        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations | None = None
     ) -> Output | None:
         """Fuse a frame, by its pose or by the tags' corners; the state as known then."""
         measured = self._resolved(frame.t_ns, measured, seen)
-        if self._corners and len(seen):
+        if self._corners and seen is not None and len(seen):
             self.estimator.corners(frame.t_ns, seen, measured)
         elif measured is not None:
             self.estimator.pose(measured)
@@ -58,13 +61,13 @@ class VioArm:
         return None if nav is None else _output(nav, known_ns)
 
     def _resolved(
-        self, t_ns: int, measured: PoseMeasurement | None, seen: Observations
+        self, t_ns: int, measured: PoseMeasurement | None, seen: Observations | None = None
     ) -> PoseMeasurement | None:
         """The pose, its planar ambiguity settled by where the filter expects the camera."""
         if self._second_look is None or measured is None or "ambiguous" not in measured.flags:
             return measured
         prior = self.estimator.prior(t_ns)
-        if prior is None:
+        if prior is None or seen is None:
             return measured
         tags = Detections.of(seen.tag_id, seen.corners_px, sigma_px=seen.sigma_px)
         return self._second_look(Frame(t_ns, detections=tags), prior) or measured
@@ -91,7 +94,7 @@ class VoKfArm(VoArm):
         self._t_ns = 0
 
     def pose(
-        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations
+        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations | None = None
     ) -> Output | None:
         """The filtered pose at this frame."""
         raw = super().pose(frame, measured, seen)

@@ -217,17 +217,18 @@ def _relax_bias(P: Array, dt: float, q: Array) -> None:
 
 
 @njit
-def propagate(x: Array, P: Array, w: Array, f: Array, dt: float, q: Array, scale: Array) -> None:
-    """State x (NOMINAL,) and covariance P (n, n) over dt [s], in place.
+def propagate(x: Array, P: Array, imu: Array, dt: float, q: Array) -> None:
+    """State x (NOMINAL,) and covariance P (n, n) over dt [s], in place; q (10,) process noise.
 
-    w, f (3,): means of gyro [rad/s] and specific force [m/s^2] over the interval, in I; q (10,)
-    process noise; scale (6,) multiplies the white noise of each gyro and accelerometer axis.
+    imu (12,): means of gyro [rad/s] and specific force [m/s^2] over the interval, in I, then what
+    multiplies the white noise of each of the six axes.
     """
     R_mid, B = np.empty((3, 3)), np.empty((6, 11))
+    w, f = imu[0:3], imu[3:6]
     mechanise(x, w, f, dt, q[at.N_GRAVITY], R_mid)
     transition_into(B, x, w, f, dt, q[at.N_GRAVITY], R_mid)
     spread(P, B, dt)
-    add_noise(P, R_mid, dt, q, scale)
+    add_noise(P, R_mid, dt, q, imu[6:12])
     if P.shape[0] == at.WITH_BIAS:
         keep = math.exp(-dt * q[at.N_BIAS_RATE])
         for i in range(at.X_BIAS, at.X_BIAS + 6):

@@ -1,4 +1,4 @@
-"""Whether an IMU track can be what it claims: wrong units and clocks get a word."""
+"""Whether an IMU can be what it claims: wrong units and clocks get a word, not a divergence."""
 
 import numpy as np
 

@@ -32,7 +32,7 @@ def camera_prior(window: Window, t_ns: int) -> PosePrior | None:
     x, P = window.X[k].copy(), window.P[k].copy()
     imu = window.imu[min(k + 1, window.last)]
     if due > window.t[k]:
-        propagate(x, P, imu[0:3], imu[3:6], (due - window.t[k]) * 1e-9, window.q, imu[6:12])
+        propagate(x, P, imu, (due - window.t[k]) * 1e-9, window.q)
     R_WC, p_WC, H = np.empty((3, 3)), np.empty(3), np.empty((6, len(P)))
     camera_pose(x, R_WC, p_WC)
     camera_jacobian(x, imu[0:3], H)

@@ -60,7 +60,7 @@ def run(
             _count(result, trace)
             for estimator in estimators:
                 _keep(result, estimator, estimator.pose(event, trace.pose, trace.observations))
-            watch.lap("filter")
+                watch.lap("filter" if estimator.name == "vio" else "arms")
             watch.stop()
             each_frame()
     except KeyboardInterrupt:

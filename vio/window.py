@@ -68,19 +68,19 @@ def walk(
         x[:] = X[k]
         C[:] = P[k]
         now, end = t[k], t[k + 1]
-        w, f, scale = imu[k + 1, 0:3], imu[k + 1, 3:6], imu[k + 1, 6:12]
+        rates = imu[k + 1]
         while j < count:
             due = _effective(m_t[j], x)
             if due > end:
                 break
             if due > now:
-                propagate(x, C, w, f, (due - now) * 1e-9, q, scale)
+                propagate(x, C, rates, (due - now) * 1e-9, q)
                 now = due
             m_at[j] = now
-            m_state[j], m_nis[j] = _apply(x, C, w, m_z[j], par, now)
+            m_state[j], m_nis[j] = _apply(x, C, rates[0:3], m_z[j], par, now)
             j += 1
         if end > now:
-            propagate(x, C, w, f, (end - now) * 1e-9, q, scale)
+            propagate(x, C, rates, (end - now) * 1e-9, q)
     while j < count:
         m_at[j] = _FAR
         m_state[j] = at.PENDING

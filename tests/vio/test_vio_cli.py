@@ -97,7 +97,7 @@ def test_compare_writes_the_contracted_json_report_and_trajectories(true_log, tm
     content = json.loads((tmp_path / "comparison.json").read_text())
     assert set(content) == {"align", "estimators", "frames", "timing_ms"}
     assert content["align"] == "none"
-    assert set(content["estimators"]) == {"vo", "vo_fir"}
+    assert set(content["estimators"]) == {"vo", "vo_fir", "vo_kf"}  # the log has no IMU
     assert content["frames"] == {"total": 12, "with_pose": 12, "fused": None, "rejected": None}
     for views in content["estimators"].values():
         assert set(views) == {"capture", "now"}
@@ -113,7 +113,7 @@ def test_compare_writes_the_contracted_json_report_and_trajectories(true_log, tm
     assert not re.search(r"<(script|link|img)[^>]+(src|href)=", page), (
         "the report must open offline"
     )
-    assert {p.name for p in tmp_path.glob("*.tum")} == {"vo.tum", "vo_fir.tum"}
+    assert {p.name for p in tmp_path.glob("*.tum")} == {"vo.tum", "vo_fir.tum", "vo_kf.tum"}
     assert "capture" in done.out
     assert str(tmp_path / "report.html") in done.out
 

@@ -172,6 +172,6 @@ def test_the_pose_bias_forgets_and_keeps_its_stationary_spread():
     P = np.eye(30) * 1e-4
     b = x[at.X_BIAS]
     for _ in range(20000):
-        propagate(x, P, np.zeros(3), np.array([0.0, 0.0, 9.81]), 0.005, Q, np.ones(6))
+        propagate(x, P, np.array([0.0] * 5 + [9.81] + [1.0] * 6), 0.005, Q)
     assert abs(x[at.X_BIAS]) < abs(b) * 1e-6
     assert_allclose(np.diag(P)[at.BIAS : at.BIAS + 3], 0.015**2, rtol=1e-3)

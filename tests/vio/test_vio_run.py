@@ -28,7 +28,7 @@ class Spy:
         self.seen.append(("imu", sample.t_ns))
         return Output(sample.t_ns, sample.arrival_ns, np.zeros(3), np.eye(3))
 
-    def pose(self, frame, measured):
+    def pose(self, frame, measured, trace=None):
         self.seen.append(("frame" if measured else "blind", frame.t_ns))
         return None
 

@@ -12,7 +12,6 @@ from vio.config import Config
 from vio.errors import EvaluationError
 from vio.filter_arm import VioArm, VoKfArm
 from vio.imucheck import check_imu
-from vio.records import ImuNoise
 from vio.run import RunResult, run
 from vio.sources.log import FlightLog
 from vio.stopwatch import Stopwatch
@@ -22,11 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 
-_PIXHAWK = ImuNoise(accel_density=5e-3, accel_walk=5e-4, gyro_density=3e-4, gyro_walk=2e-5)
-
-
-_FUSED = ("fused", "fused_position", "fused_rotation")
-_REJECTED = ("gated", "singular", "too_old", "too_early", "duplicate", "pose_not_finite")
+_REJECTED = (*flt.REFUSED, "pose_not_finite")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +57,7 @@ def replay_log(
         warm_up(log.camera, config.tagvo)
     watch = Stopwatch()
     vo = TagVO(log.camera, log.tag_map, config.tagvo, lap=watch.lap)
-    vio, warnings = (None, []) if vo_only else _filter(log, config)
+    vio, warnings = (None, []) if vo_only else _filter(log, config, vo)
     estimators = [*arms(log, config), *([] if vio is None else [vio])]
     ask = config.tagvo.ambiguity == "prior" and vio is not None
     with progress(log.frame_count, "frames") as step:
@@ -79,20 +74,16 @@ def _no_prior(t_ns: int) -> None:
     return None
 
 
-def _filter(log: FlightLog, config: Config) -> tuple[VioArm | None, list[str]]:
+def _filter(log: FlightLog, config: Config, vo: TagVO) -> tuple[VioArm | None, list[str]]:
     """The filter's arm for a log, and warnings; none where the log has no IMU (the log says so)."""
     if log.imu is None:
         return None, []
     shift = round(log.camera.timeshift_s * 1e9)
     warnings = check_imu(log.imu, log.frames.t_ns + shift, str(log.path))
     core = flt.Estimator(
-        config.vio, log.camera, log.imu_noise or _PIXHAWK, log.tag_map, config.tagvo.floor
+        config.vio, log.camera, log.imu_noise or flt.USUAL_NOISE, log.tag_map, config.tagvo.floor
     )
-    second_look = None
-    if config.tagvo.ambiguity == "consistent":  # the paper's way (first) is left as it is
-        asked = config.tagvo.model_copy(update={"ambiguity": "prior"})
-        second_look = TagVO(log.camera, log.tag_map, asked)
-    return VioArm(core, config.vio.update == "corners", second_look), warnings
+    return VioArm(core, vo, config.vio.update == "corners"), warnings
 
 
 def vo_arms(log: FlightLog, config: Config) -> list[Estimator]:
@@ -116,7 +107,7 @@ def frame_counts(done: Replayed) -> dict[str, int | None]:
     }
     if done.vio is not None:
         verdicts = done.vio.estimator.counters
-        counts["fused"] = sum(verdicts.get(v, 0) for v in _FUSED)
+        counts["fused"] = sum(verdicts.get(v, 0) for v in flt.FUSED)
         counts["rejected"] = sum(verdicts.get(v, 0) for v in _REJECTED)
     return counts
 
