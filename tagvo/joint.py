@@ -6,18 +6,15 @@ covariance (corner noise and laying errors); a robust loss bounds what a moved t
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, Field, PositiveFloat
 
-from tagvo.compiled import backward, cholesky, forward, inverse_spd, njit, rotated
+from tagvo.compiled import cholesky, forward, inverse_spd, njit
+from tagvo.descent import Work, evaluate, minimise, step
 from tagvo.geometry import Array
-from tagvo.information import SYSTEMATIC, TagBatch, residual_factor, systematic_rows, tag_rows
+from tagvo.information import SYSTEMATIC, TagBatch, systematic_rows, tag_rows
 
-_SETTLED = 1e-4  # squared length [sigmas] of a step that is taken as the last, unexamined
-_FAR = 100.0  # ten sigmas
-_WIDE, _STAGES = 3.0, 6
 _DECISIVE = 9.0  # in minus twice the log-likelihood
 _FEWEST_FOR_SHARE = 5
 
@@ -51,121 +48,8 @@ class JointPose:
     laying_share: float
 
 
-class _Work(NamedTuple):
-    """Scratch of one solution: per-tag factors (n, 8, 8), chi2 (n,), weight (n,), rows, L, H, g."""
-
-    factors: Array
-    chi2: Array
-    weight: Array
-    rows: Array
-    L: Array
-    H: Array
-    g: Array
-
-
 @njit
-def _evaluate(R: Array, p: Array, tags: TagBatch, limit: float, anew: bool, work: _Work) -> float:
-    """Robust cost at a pose, infinite where a tag is behind; writes H, g, chi2 and weight.
-
-    anew: factorise each tag's residual covariance at this pose first.
-    """
-    cost, rows, H, g = 0.0, work.rows, work.H, work.g
-    H[:] = 0.0
-    g[:] = 0.0
-    for i in range(len(work.chi2)):
-        if not tag_rows(R, p, tags, i, rows, work.L):
-            return np.inf
-        factor = work.factors[i]
-        if anew and not residual_factor(work.L, tags.laying[i], tags.sigma_px[i], factor):
-            return np.inf
-        forward(factor, rows)
-        d2 = 0.0
-        for k in range(8):
-            d2 += rows[k, 0] * rows[k, 0]
-        w = 1.0 if d2 <= limit else limit / d2
-        cost += d2 if d2 <= limit else limit * (1.0 + np.log(d2 / limit))
-        work.chi2[i] = d2
-        work.weight[i] = w
-        for k in range(8):
-            for a in range(6):
-                f = w * rows[k, 1 + a]
-                g[a] += f * rows[k, 0]
-                for b in range(a + 1):
-                    H[a, b] += f * rows[k, 1 + b]
-    for a in range(6):
-        for b in range(a):
-            H[b, a] = H[a, b]
-    return cost
-
-
-@njit
-def _step(R: Array, p: Array, work: _Work, damping: float, R_new: Array, p_new: Array) -> float:
-    """Damped Gauss-Newton step; returns its squared length in sigmas, negative on failure."""
-    M, b = work.H.copy(), np.empty((6, 1))
-    for a in range(6):
-        M[a, a] = work.H[a, a] * (1.0 + damping) + 1e-12
-        b[a, 0] = work.g[a]
-    if not cholesky(M):
-        return -1.0
-    forward(M, b)
-    backward(M, b)
-    length = 0.0
-    for a in range(6):
-        length += b[a, 0] * work.g[a]
-        if not np.isfinite(b[a, 0]):
-            return -1.0
-    rotated(R, b[3:, 0], R_new)
-    for a in range(3):
-        p_new[a] = p[a] + b[a, 0]
-    return length
-
-
-@njit
-def _on_factors(other: _Work, work: _Work) -> _Work:
-    """`other` with the factors of `work`: the same residual covariances, room for a second pose."""
-    return _Work(work.factors, other.chi2, other.weight, other.rows, other.L, other.H, other.g)
-
-
-@njit
-def _descend(
-    R: Array,
-    p: Array,
-    tags: TagBatch,
-    limit: float,
-    steps: int,
-    cost: float,
-    work: _Work,
-    other: _Work,
-) -> tuple[float, float, bool]:
-    """Levenberg-Marquardt on R, p in place from where `work` was evaluated, at this cost.
-
-    Returns the cost, how far it went (squared sigmas) and whether it settled.
-    """
-    R_new, p_new = np.empty((3, 3)), np.empty(3)
-    damping, moved = 1e-9, 0.0
-    if not np.isfinite(cost):
-        return cost, moved, False
-    for _ in range(steps):
-        length = _step(R, p, work, damping, R_new, p_new)
-        if 0.0 <= length < _SETTLED:
-            R[:], p[:] = R_new, p_new
-            return cost, moved, True
-        cost_new = np.inf
-        if length >= 0.0:
-            cost_new = _evaluate(R_new, p_new, tags, limit, False, _on_factors(other, work))
-        if cost_new <= cost:
-            R[:], p[:], work.H[:], work.g[:] = R_new, p_new, other.H, other.g
-            work.chi2[:], work.weight[:] = other.chi2, other.weight
-            cost, damping, moved = cost_new, max(damping * 0.1, 1e-9), moved + length
-        else:
-            damping = max(damping * 30.0, 1e-4)
-            if damping > 1e6:
-                return cost, moved, False
-    return cost, moved, False
-
-
-@njit
-def _systematic(R: Array, p: Array, tags: TagBatch, P: Array, work: _Work) -> Array:
+def _systematic(R: Array, p: Array, tags: TagBatch, P: Array, work: Work) -> Array:
     """Shift of the pose by one sigma of each systematic error; (6, 3)."""
     B, sums = np.empty((8, SYSTEMATIC)), np.zeros((6, SYSTEMATIC))
     rows = work.rows
@@ -182,31 +66,7 @@ def _systematic(R: Array, p: Array, tags: TagBatch, P: Array, work: _Work) -> Ar
 
 
 @njit
-def _minimise(
-    R: Array, p: Array, tags: TagBatch, limit: float, steps: int, work: _Work, other: _Work
-) -> tuple[float, bool]:
-    """Descend on R, p in place from any start; returns the robust cost and whether it settled."""
-    cost, settled = np.inf, False
-    for _ in range(2):  # the residuals' covariance is that at the start; anew where it moved far
-        far = 0.0
-        for stage in range(_STAGES):  # from a poor start the loss tightens step by step
-            cost = _evaluate(R, p, tags, limit, stage == 0, work)
-            if not np.isfinite(cost):
-                return np.inf, False
-            wide = max(limit, _WIDE * np.median(work.chi2))
-            if wide > limit:
-                cost = _evaluate(R, p, tags, wide, False, work)
-            cost, moved, settled = _descend(R, p, tags, wide, steps, cost, work, other)
-            far += moved
-            if wide == limit:
-                break
-        if far < _FAR:
-            break
-    return cost, settled
-
-
-@njit
-def _misfit_of_sigmas(cost: float, gain: float, work: _Work) -> float:
+def _misfit_of_sigmas(cost: float, gain: float, work: Work) -> float:
     """Minus twice the restricted log-likelihood of the sigmas, up to a constant.
 
     cost - gain: chi-square at the minimum; log det S and log det H charge for larger sigmas.
@@ -233,7 +93,7 @@ def _with_laying(tags: TagBatch, share: float) -> TagBatch:
 
 @njit
 def _laying_share(
-    R: Array, p: Array, tags: TagBatch, limit: float, cost: float, work: _Work, other: _Work
+    R: Array, p: Array, tags: TagBatch, limit: float, cost: float, work: Work, other: Work
 ) -> float:
     """Share of the stated laying sigmas that the residuals of this frame speak for.
 
@@ -247,10 +107,10 @@ def _laying_share(
     best, share = _misfit_of_sigmas(cost, 0.0, work), 1.0
     for trial in (1.0 / 3.0, 0.1):
         scaled = _with_laying(tags, trial)
-        cost_trial = _evaluate(R, p, scaled, limit, True, other)
+        cost_trial = evaluate(R, p, scaled, limit, True, other)
         if not np.isfinite(cost_trial):
             break
-        gain = _step(R, p, other, 1e-9, R_new, p_new)
+        gain = step(R, p, other, 1e-9, R_new, p_new)
         misfit = _misfit_of_sigmas(cost_trial, max(gain, 0.0), other)
         if not misfit < best - _DECISIVE:
             break
@@ -265,18 +125,18 @@ def _solve(
     n = len(tags.sigma_px)
     R, p, cov, share = R0.copy(), p0.copy(), np.full((6, 6), np.nan), 1.0
     rows, L = np.empty((8, 7)), np.empty((8, 6))
-    work = _Work(
+    work = Work(
         np.empty((n, 8, 8)), np.zeros(n), np.zeros(n), rows, L, np.empty((6, 6)), np.empty(6)
     )
-    other = _Work(
+    other = Work(
         np.empty((n, 8, 8)), np.zeros(n), np.zeros(n), rows, L, np.empty((6, 6)), np.empty(6)
     )
-    cost, settled = _minimise(R, p, tags, limit, steps, work, other)
+    cost, settled = minimise(R, p, tags, limit, steps, work, other)
     if adapt and settled and n >= _FEWEST_FOR_SHARE:
         share = _laying_share(R, p, tags, limit, cost, work, other)
         if share < 1.0:
             tags = _with_laying(tags, share)
-            cost, settled = _minimise(R, p, tags, limit, steps, work, other)
+            cost, settled = minimise(R, p, tags, limit, steps, work, other)
     if not (np.isfinite(cost) and inverse_spd(work.H, cov)):
         return R, p, np.full((6, 6), np.nan), work.chi2, work.weight, np.inf, False, share
     D = _systematic(R, p, tags, cov, work)

@@ -23,6 +23,7 @@ TAGVO = (
     {"compiled", "records", "bitmaps"},
     {"camera", "tagmap", "reprojection"},
     {"camera_io", "information"},
+    {"descent"},
     {"observe", "detect", "tagpose", "ambiguity", "selection", "outliers", "fusion", "joint",
      "smoothing", "track"},
     {"config", "decide"},
@@ -30,7 +31,7 @@ TAGVO = (
     {"mapgen", "mapprint", "mapsurvey", "mapoverlap", "mapview", "mapcheck", "mapdraw",
      "mapformats", "mapshow", "render", "calibrate"},
 )  # fmt: skip
-STAGES = TAGVO[5]
+STAGES = TAGVO[6]
 VIO = (
     {"errors"},
     {"records", "frames", "stopwatch", "interrupt", "assets", "layout", "settings"},

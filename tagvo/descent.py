@@ -1,0 +1,154 @@
+"""Finds the camera pose that the corners of many tags agree on, from any start, in compiled code.
+
+Levenberg-Marquardt on whitened residuals with a robust loss: a tag's chi-square d2 counts whole up
+to a limit, and as limit (1 + ln(d2 / limit)) above it, so that a moved tag has a bounded say.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from tagvo.compiled import backward, cholesky, forward, njit, rotated
+from tagvo.geometry import Array
+from tagvo.information import TagBatch, residual_factor, tag_rows
+
+_SETTLED = 1e-4  # squared length [sigmas] of a step that is taken as the last, unexamined
+_FAR = 100.0  # ten sigmas
+_WIDE, _STAGES = 3.0, 6
+
+
+class Work(NamedTuple):
+    """Scratch of one solution: per-tag factors (n, 8, 8), chi2 (n,), weight (n,), rows, L, H, g."""
+
+    factors: Array
+    chi2: Array
+    weight: Array
+    rows: Array
+    L: Array
+    H: Array
+    g: Array
+
+
+@njit
+def evaluate(R: Array, p: Array, tags: TagBatch, limit: float, anew: bool, work: Work) -> float:
+    """Robust cost at a pose, infinite where a tag is behind; writes H, g, chi2 and weight.
+
+    anew: factorise each tag's residual covariance at this pose first.
+    """
+    cost, rows, H, g = 0.0, work.rows, work.H, work.g
+    H[:] = 0.0
+    g[:] = 0.0
+    for i in range(len(work.chi2)):
+        if not tag_rows(R, p, tags, i, rows, work.L):
+            return np.inf
+        factor = work.factors[i]
+        if anew and not residual_factor(work.L, tags.laying[i], tags.sigma_px[i], factor):
+            return np.inf
+        forward(factor, rows)
+        d2 = 0.0
+        for k in range(8):
+            d2 += rows[k, 0] * rows[k, 0]
+        w = 1.0 if d2 <= limit else limit / d2
+        cost += d2 if d2 <= limit else limit * (1.0 + np.log(d2 / limit))
+        work.chi2[i] = d2
+        work.weight[i] = w
+        for k in range(8):
+            for a in range(6):
+                f = w * rows[k, 1 + a]
+                g[a] += f * rows[k, 0]
+                for b in range(a + 1):
+                    H[a, b] += f * rows[k, 1 + b]
+    for a in range(6):
+        for b in range(a):
+            H[b, a] = H[a, b]
+    return cost
+
+
+@njit
+def step(R: Array, p: Array, work: Work, damping: float, R_new: Array, p_new: Array) -> float:
+    """Damped Gauss-Newton step; returns its squared length in sigmas, negative on failure."""
+    M, b = work.H.copy(), np.empty((6, 1))
+    for a in range(6):
+        M[a, a] = work.H[a, a] * (1.0 + damping) + 1e-12
+        b[a, 0] = work.g[a]
+    if not cholesky(M):
+        return -1.0
+    forward(M, b)
+    backward(M, b)
+    length = 0.0
+    for a in range(6):
+        length += b[a, 0] * work.g[a]
+        if not np.isfinite(b[a, 0]):
+            return -1.0
+    rotated(R, b[3:, 0], R_new)
+    for a in range(3):
+        p_new[a] = p[a] + b[a, 0]
+    return length
+
+
+@njit
+def _on_factors(other: Work, work: Work) -> Work:
+    """`other` with the factors of `work`: the same residual covariances, room for a second pose."""
+    return Work(work.factors, other.chi2, other.weight, other.rows, other.L, other.H, other.g)
+
+
+@njit
+def _descend(
+    R: Array,
+    p: Array,
+    tags: TagBatch,
+    limit: float,
+    steps: int,
+    cost: float,
+    work: Work,
+    other: Work,
+) -> tuple[float, float, bool]:
+    """Levenberg-Marquardt on R, p in place from where `work` was evaluated, at this cost.
+
+    Returns the cost, how far it went (squared sigmas) and whether it settled.
+    """
+    R_new, p_new = np.empty((3, 3)), np.empty(3)
+    damping, moved = 1e-9, 0.0
+    if not np.isfinite(cost):
+        return cost, moved, False
+    for _ in range(steps):
+        length = step(R, p, work, damping, R_new, p_new)
+        if 0.0 <= length < _SETTLED:
+            R[:], p[:] = R_new, p_new
+            return cost, moved, True
+        cost_new = np.inf
+        if length >= 0.0:
+            cost_new = evaluate(R_new, p_new, tags, limit, False, _on_factors(other, work))
+        if cost_new <= cost:
+            R[:], p[:], work.H[:], work.g[:] = R_new, p_new, other.H, other.g
+            work.chi2[:], work.weight[:] = other.chi2, other.weight
+            cost, damping, moved = cost_new, max(damping * 0.1, 1e-9), moved + length
+        else:
+            damping = max(damping * 30.0, 1e-4)
+            if damping > 1e6:
+                return cost, moved, False
+    return cost, moved, False
+
+
+@njit
+def minimise(
+    R: Array, p: Array, tags: TagBatch, limit: float, steps: int, work: Work, other: Work
+) -> tuple[float, bool]:
+    """Descend on R, p in place from any start; returns the robust cost and whether it settled."""
+    cost, settled = np.inf, False
+    for _ in range(2):  # the residuals' covariance is that at the start; anew where it moved far
+        far = 0.0
+        for stage in range(_STAGES):  # from a poor start the loss tightens step by step
+            cost = evaluate(R, p, tags, limit, stage == 0, work)
+            if not np.isfinite(cost):
+                return np.inf, False
+            wide = max(limit, _WIDE * np.median(work.chi2))
+            if wide > limit:
+                cost = evaluate(R, p, tags, wide, False, work)
+            cost, moved, settled = _descend(R, p, tags, wide, steps, cost, work, other)
+            far += moved
+            if wide == limit:
+                break
+        if far < _FAR:
+            break
+    return cost, settled
