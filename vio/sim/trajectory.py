@@ -12,13 +12,9 @@ from tagvo.geometry import Array
 GRAVITY = 9.81
 _KNOTS_HZ = 20.0
 _SMOOTH_S = 0.25  # commanded corners are rounded by a Gaussian of this width
-_T3 = np.array(
-    [
-        [0.6, 0.8, 0.8], [2.3, 2.0, 1.5], [0.8, 3.2, 1.0], [2.2, 4.3, 1.6], [0.7, 4.0, 0.9],
-        [1.6, 1.2, 1.4], [2.4, 3.4, 0.8], [0.6, 2.4, 1.7], [1.9, 0.9, 1.0], [1.2, 4.2, 1.5],
-        [2.3, 1.6, 1.2], [0.9, 2.8, 0.9], [2.2, 4.0, 1.4], [1.8, 1.0, 1.7], [0.8, 2.2, 1.0],
-    ]
-)  # fmt: skip
+_T3_SEED = 3
+_T3_SECONDS = 40.0  # the paper's T3 takes 35-45 s
+_HOVER_S = 2.0  # at rest at either end
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,15 +77,23 @@ def t2(R_WG: Array | None = None) -> tuple[Flight, float]:
 
 
 def t3(R_WG: Array | None = None) -> tuple[Flight, float]:
-    """A spline through fifteen points, the yaw swinging over 250 degrees three times."""
-    legs = np.sqrt(np.linalg.norm(np.diff(_T3, axis=0), axis=1))
+    """A clamped cubic spline through twelve waypoints and headings drawn at random, once.
+
+    The rule and its seed were fixed before any filter had flown it: places uniform in the room
+    above the map, each heading within 90 degrees of the one before, time in proportion to distance
+    (but to no less than a metre), at rest for 2 s at either end.
+    """
+    rng = np.random.default_rng(_T3_SEED)
+    waypoints = rng.uniform([0.5, 0.7, 0.7], [2.5, 4.3, 1.8], size=(12, 3))
+    yaw = np.cumsum(rng.uniform(-np.pi / 2, np.pi / 2, size=12))
+    legs = np.maximum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1), 1.0)
+    end = _T3_SECONDS - _HOVER_S
     knots = np.concatenate([[0.0], np.cumsum(legs)])
-    t_knots = knots / knots[-1] * 41.0 + 2.0
-    curve = make_interp_spline(t_knots, _T3, k=3, bc_type="clamped")
-    t = np.arange(0.0, 45.0, 0.1)
-    swing = 1.0 - np.cos(6.0 * np.pi * np.clip((t - 2.0) / 41.0, 0.0, 1.0))
-    yaw = np.radians(30.0 + 125.0 * swing)
-    return flight(t, curve(np.clip(t, 2.0, 43.0)), yaw, R_WG), 45.0
+    t_knots = _HOVER_S + knots / knots[-1] * (end - _HOVER_S)
+    curve = make_interp_spline(t_knots, np.column_stack([waypoints, yaw]), k=3, bc_type="clamped")
+    t = np.arange(0.0, _T3_SECONDS, 1.0 / _KNOTS_HZ)
+    command = curve(np.clip(t, _HOVER_S, end))
+    return flight(t, command[:, :3], command[:, 3], R_WG), _T3_SECONDS
 
 
 FLIGHTS = {"T1": t1, "T2": t2, "T3": t3}
