@@ -102,17 +102,23 @@ class TagPoses:
     """Both planar solutions of each tag, the better one first.
 
     p_CT (n, 2, 3) [m], R_CT (n, 2, 3, 3): tag in camera; rms_px (n, 2) reprojection error, inf
-    where a solution does not exist; cov (n, 2, 6, 6) of [p_CT, right rotation in T] from the
-    corners' noise [m^2, rad^2].
+    where a solution does not exist; information (n, 2, 6, 6) of [p_CT in T, right rotation in T]
+    from the corners' noise [1/m^2, 1/rad^2].
     """
 
     p_CT: Array
     R_CT: Array
     rms_px: Array
-    cov: Array
+    information: Array
 
     def __len__(self) -> int:
         return len(self.p_CT)
+
+    @property
+    def cov(self) -> Array:
+        """Covariance of each solution, the inverse of its information; (n, 2, 6, 6)."""
+        slack = np.einsum("...ii->...i", self.information)[..., None] * np.eye(6)
+        return np.asarray(np.linalg.inv(self.information + 1e-12 * (slack + np.eye(6))))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

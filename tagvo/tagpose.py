@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tagvo import reprojection
-from tagvo.compiled import backward, cholesky, forward, inverse_spd, njit, rotated
+from tagvo.compiled import backward, cholesky, forward, njit, rotated
 from tagvo.geometry import Array
 from tagvo.records import Observations, TagPoses
 
@@ -220,7 +220,7 @@ def _solve_all(
 ) -> tuple[Array, Array, Array, Array]:
     n = len(size)
     p, R = np.empty((n, 2, 3)), np.empty((n, 2, 3, 3))
-    rms, cov = np.empty((n, 2)), np.empty((n, 2, 6, 6))
+    rms, information = np.empty((n, 2)), np.empty((n, 2, 6, 6))
     centre, J, H = np.empty(2), np.empty((2, 2)), np.empty((2, 6, 6))
     work = _Work(
         np.empty(8), np.empty((8, 3)), np.empty((8, 6)), np.empty((4, 3)), np.empty(6), np.empty(6),
@@ -239,11 +239,8 @@ def _solve_all(
         for s in range(2):
             k = first if s == 0 else 1 - first
             p[i, s], R[i, s], rms[i, s] = p_s[k], R_s[k], np.sqrt(0.25 * square[k])
-            for j in range(6):
-                H[k, j, j] = H[k, j, j] * (1.0 + 1e-12) + 1e-12
-            if not inverse_spd(H[k], cov[i, s]):
-                cov[i, s] = np.inf
-    return p, R, rms, cov
+            information[i, s] = H[k]
+    return p, R, rms, information
 
 
 def solve_tags(obs: Observations, corners_T: Array, size: Array, refine: int) -> TagPoses:
