@@ -37,8 +37,9 @@ class Flown:
 def fly(
     name="T3", seed=0, noise=CLEAN, camera=CAMERA, seconds=None, R_WG=None, turn_on=(0.01, 0.1)
 ):
+    """The flight of this name, or a pair (flight, duration), with its sensors."""
     rng = np.random.default_rng(seed)
-    flight, duration = FLIGHTS[name](R_WG)
+    flight, duration = FLIGHTS[name](R_WG) if isinstance(name, str) else name
     duration = seconds or duration
     down = None if R_WG is None else -R_WG[:, 2]
     imu, _ = simulate_imu(flight, duration, PIXHAWK, rng, down_W=down, turn_on=turn_on)
@@ -68,18 +69,21 @@ class Track:
     rotation: np.ndarray
     v: np.ndarray
     nees: np.ndarray
-    states: list[str]
+    states: list[tuple[float, str]]
+    reasons: list[tuple[float, str]]
     estimator: Estimator
 
 
 def replay(flown, config=None, camera=CAMERA, every=4):
     """The flight through a new filter; errors at every fourth output."""
     estimator = Estimator(config or VioConfig(), camera, PIXHAWK)
-    out, states, count = [], [], 0
+    out, states, reasons, count = [], [], [], 0
     for what in events(flown):
         nav = feed(estimator, what)
         if isinstance(what, ImuSample) and (count := count + 1) % every == 0:
-            states.append((what.t_ns * 1e-9, str(estimator.health().state)))
+            health = estimator.health()
+            states.append((what.t_ns * 1e-9, str(health.state)))
+            reasons += [(what.t_ns * 1e-9, reason) for reason in health.reasons]
             if nav is not None:
                 out.append(nav)
     t = np.array([n.t_ns for n in out]) * 1e-9
@@ -91,7 +95,7 @@ def replay(flown, config=None, camera=CAMERA, every=4):
     e = np.concatenate([p, rotation], axis=-1)
     cov = np.array([n.cov[:6, :6] for n in out])
     nees = np.einsum("ni,ni->n", e, np.linalg.solve(cov, e[..., None])[..., 0]) / 6.0
-    return Track(t, p, rotation, v, nees, states, estimator)
+    return Track(t, p, rotation, v, nees, states, reasons, estimator)
 
 
 def rms(x):
@@ -100,6 +104,10 @@ def rms(x):
 
 def states_between(track, t0, t1):
     return {s for t, s in track.states if t0 <= t < t1}
+
+
+def reasons_between(track, t0, t1):
+    return {s for t, s in track.reasons if t0 <= t < t1}
 
 
 def without(flown, t0, t1):

@@ -96,4 +96,20 @@ def t3(R_WG: Array | None = None) -> tuple[Flight, float]:
     return flight(t, command[:, :3], command[:, 3], R_WG), _T3_SECONDS
 
 
+def circle(speed_m_s: float, rng: np.random.Generator) -> tuple[Flight, float]:
+    """In full flight from the first moment: a circle of 0.7-1.4 m at this speed, turning, 10 s.
+
+    The height swings by 0.2 m; the heading turns by up to 0.6 rad/s, whichever way.
+    """
+    radius, phase = rng.uniform(0.7, 1.4), rng.uniform(0.0, 2.0 * np.pi)
+    side, spin = rng.choice([-1.0, 1.0]), rng.uniform(-0.6, 0.6)
+    rate = speed_m_s / radius
+    t = np.arange(-5.0, 15.0, 1.0 / _KNOTS_HZ)
+    angle = side * rate * t + phase
+    wide = radius * np.exp(0.5 * (rate * _SMOOTH_S) ** 2)  # what the smoothing will take off
+    height = 1.2 + 0.2 * np.sin(0.8 * t + phase)
+    points = np.column_stack([1.5 + wide * np.cos(angle), 2.5 + wide * np.sin(angle), height])
+    return flight(t, points, phase + spin * t), 10.0
+
+
 FLIGHTS = {"T1": t1, "T2": t2, "T3": t3}
