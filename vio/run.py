@@ -42,14 +42,19 @@ def run(
     watch: Stopwatch,
     each_frame: Callable[[], None] = lambda: None,
     prior: Callable[[int], PosePrior | None] = lambda t_ns: None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> RunResult:
     """Feed events in order to tagvo and the estimators; Ctrl-C ends it and keeps what there is.
 
-    prior: where the camera should be at a stamp, for tagvo; each_frame: called after every frame.
+    prior: where the camera should be at a stamp, for tagvo; each_frame: called after every frame;
+    stop: asked before every event, true ends it.
     """
     result = RunResult({e.name: [] for e in estimators})
     try:
         for event in events:
+            if stop():
+                result.interrupted = True
+                break
             if isinstance(event, ImuSample):
                 result.imu += 1
                 for estimator in estimators:

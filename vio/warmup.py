@@ -3,21 +3,32 @@
 Otherwise the first frame of a run would wait for it, and its timing would say so.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from tagvo.camera import Camera
 from tagvo.config import TagvoConfig
 from tagvo.detect.filters import FilterConfig
 from tagvo.families import FAMILIES
-from tagvo.pipeline import TagVO
+from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Detections, Frame, PoseMeasurement
 from tagvo.tagmap import map_from_dict
+from vio.estimator import USUAL_NOISE, Estimator
+from vio.records import ImuSample
+from vio.settings import VioConfig
 
 _SIDE_PX, _PITCH_PX = 40.0, 50.0
+_IMU_STEP_NS, _STEPS, _POSE_EVERY = 5_000_000, 300, 10  # 1.5 s at 200 Hz, poses at 20 Hz
 
 
-def warm_up(camera: Camera, config: TagvoConfig) -> PoseMeasurement | None:
-    """Send four made-up tags, flat before the camera at 1 m, through the whole pipeline."""
+def warm_up(
+    camera: Camera, config: TagvoConfig, vio: VioConfig | None = None
+) -> PoseMeasurement | None:
+    """Send four made-up tags, flat before the camera at 1 m, through the whole pipeline.
+
+    vio: and through the filter with this configuration, None: tagvo alone.
+    """
     fu, fv, pu, pv = camera.intrinsics
     offsets = _PITCH_PX * (np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) - 0.5)
     tags = [
@@ -30,5 +41,31 @@ def warm_up(camera: Camera, config: TagvoConfig) -> PoseMeasurement | None:
     corners = offsets[:, None] + square + np.array([pu, pv])
     every_tag = FilterConfig.model_validate({"min_side_px": 0.0, "edge_px": -1e6})
     vo = TagVO(camera, made_up, config.model_copy(update={"filters": every_tag}))
-    frames = [Detections.of(made_up.tag_id[:n], corners[:n]) for n in (1, 4)]
-    return [vo(Frame(0, detections=found)) for found in frames][-1]
+    frames = [Frame(0, detections=Detections.of(made_up.tag_id[:n], corners[:n])) for n in (1, 4)]
+    trace = [vo.trace(frame) for frame in frames][-1]
+    if vio is not None and trace.pose is not None:
+        _warm_filter(vo, frames[-1], trace, trace.pose, vio)
+    return trace.pose
+
+
+def _warm_filter(
+    vo: TagVO, frame: Frame, trace: Trace, pose: PoseMeasurement, config: VioConfig
+) -> None:
+    """Start a filter at rest and correct it both ways, late and in time; ask for its prior."""
+    both = config.model_copy(update={"update": "corners"})  # it takes poses as well
+    core = Estimator(both, vo.camera, USUAL_NOISE, vo.tag_map, vo.config.floor)
+    force = pose.R_WC @ vo.camera.R_CI  # R_WI: at rest it carries the IMU along z of the map
+    accel = config.gravity_m_s2 * force[2]
+    shift = round(vo.camera.timeshift_s * 1e9)
+    for i in range(_STEPS):
+        t_ns = i * _IMU_STEP_NS
+        core.imu(ImuSample(t_ns, np.zeros(3), accel, t_ns))
+        if i and i % _POSE_EVERY == 0:
+            core.pose(replace(pose, t_ns=t_ns - shift - _IMU_STEP_NS))
+    late_ns = (_STEPS - 2 * _POSE_EVERY) * _IMU_STEP_NS - shift + _IMU_STEP_NS // 2  # in between
+    if trace.observations is not None:
+        core.corners(late_ns, trace.observations, pose)
+    prior = core.prior(late_ns)
+    if prior is not None:
+        asked = vo.config.model_copy(update={"ambiguity": "prior"})
+        TagVO(vo.camera, vo.tag_map, asked)(replace(frame, t_ns=late_ns), prior)

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 from cli_calls import STEP, T0, TIMESHIFT_S, tagvio, write_true_log
+from flying_log import write_flying_log
 from small_log import FRAME_STAMPS, IMU_STAMPS, write_log
 
 from vio.sinks.tum import read_tum
@@ -218,9 +219,55 @@ def test_vo_only_without_imu(tmp_path):
     assert run(log, tmp_path / "out", "--detections", "--vo-only")["imu"]["total"] == 0
 
 
+def test_warmup_says_how_long_it_took():
+    done = tagvio("warmup")
+    assert done.code == 0, done.err
+    assert re.fullmatch(r"compiled code is ready: \d+\.\d s\n", done.out)
+
+
+def test_a_log_without_imu_says_that_visual_odometry_runs_alone(true_log, tmp_path):
+    done = tagvio("run", true_log, "--out", tmp_path / "a")
+    assert "no IMU, so visual odometry runs alone" in done.err
+    assert "no IMU" in run_json(tmp_path / "a")["warnings"][0]
+    assert not (tmp_path / "a/vio.tum").exists()
+    assert "no IMU" not in tagvio("run", true_log, "--out", tmp_path / "b", "--vo-only").err
+
+
+@pytest.fixture(scope="module")
+def flying(tmp_path_factory):
+    return write_flying_log(tmp_path_factory.mktemp("flying"))
+
+
+def test_a_log_with_an_imu_gives_the_filters_trajectory(flying, tmp_path):
+    done = tagvio("compare", flying, "--out", tmp_path)
+    assert (done.code, done.err) == (0, "")
+    content = json.loads((tmp_path / "comparison.json").read_text())
+    vio, vo = (content["estimators"][name]["now"] for name in ("vio", "vo"))
+    assert vio["position_rmse_m"] < 0.01 < vo["position_rmse_m"]  # the frames come 60 ms late
+    assert content["frames"]["fused"] >= 55
+    assert "filter" in content["timing_ms"]
+
+
+@pytest.mark.parametrize("update", ["pose", "corners"])
+def test_a_replay_with_the_filter_writes_the_same_bytes_twice(flying, tmp_path, update):
+    for name in ("one", "two"):
+        run(flying, tmp_path / name, "--set", f"vio.update={update}")
+    for name in ("vo.tum", "vio.tum"):
+        one, two = ((tmp_path / d / name).read_bytes() for d in ("one", "two"))
+        assert one == two
+        assert len(one) > 1000
+
+
 def test_version_help_and_no_arguments():
     assert re.fullmatch(r"tagvio \d+\.\d+\.\d+\n", tagvio("--version").out)
-    for words in (("--help",), ("-h",), ("run", "-h"), ("compare", "--help"), ("map", "-h")):
+    for words in (
+        ("--help",),
+        ("-h",),
+        ("run", "-h"),
+        ("compare", "--help"),
+        ("warmup", "-h"),
+        ("map", "-h"),
+    ):
         done = tagvio(*words)
         assert done.code == 0
         assert "Usage: tagvio" in done.out

@@ -1,9 +1,12 @@
 """What a user gets wrong: one line saying where, what came, what is allowed; the rest counted."""
 
 import json
+import shutil
 
+import numpy as np
 import pytest
 from cli_calls import T0, tagvio, write_true_log
+from flying_log import write_flying_log
 from small_log import DETECTIONS_HEADER, FRAME_STAMPS, corner_cells, write_log
 
 CAMERA = "camchain-imucam.yaml"
@@ -239,3 +242,102 @@ def test_frames_whose_tags_are_all_dropped_are_counted_by_cause(tmp_path):
 def test_tags_that_are_not_on_the_map_are_counted(tmp_path):
     log = write_log(tmp_path, detections=True, images=False)
     assert summary_of(log, tmp_path / "out")["counters"]["not_on_map"] == 19
+
+
+IMU = "mav0/imu0/data.csv"
+
+
+@pytest.fixture(scope="module")
+def flying(tmp_path_factory):
+    return write_flying_log(tmp_path_factory.mktemp("flying"), seconds=4.0)
+
+
+def edited_imu(flying, root, change):
+    """A copy of the log, each IMU row (9 numbers: stamp, gyro, accel, arrival) through `change`."""
+    log = root / "edited"
+    shutil.copytree(flying, log)
+    head, *rows = (log / IMU).read_text().splitlines()
+    changed = []
+    for i, row in enumerate(rows):
+        t_ns, *values, arrival = row.split(",")
+        new = change(i, int(t_ns), np.array([float(v) for v in values]), int(arrival))
+        stamp, numbers, known = new
+        changed.append(",".join([str(stamp), *(f"{v:.9f}" for v in numbers), str(known)]))
+    (log / IMU).write_text("\n".join([head, *changed]) + "\n")
+    return log
+
+
+def in_degrees(i, t_ns, values, arrival):
+    return t_ns, np.append(np.degrees(values[:3]), values[3:]), arrival
+
+
+def spinning_in_degrees(i, t_ns, values, arrival):
+    return in_degrees(i, t_ns, values + np.eye(6)[2] * 0.3, arrival)
+
+
+def in_g(i, t_ns, values, arrival):
+    return t_ns, np.append(values[:3], values[3:] / 9.81), arrival
+
+
+def another_clock(i, t_ns, values, arrival):
+    return t_ns - 10**18, values, arrival - 10**18
+
+
+IMU_REFUSED = {"deg/s": spinning_in_degrees, "in g": in_g, "the clocks must overlap": another_clock}
+
+
+@pytest.mark.parametrize("command", ["run", "compare"])
+@pytest.mark.parametrize("words", IMU_REFUSED)
+def test_an_imu_in_other_units_or_clocks_is_refused_in_one_line(flying, tmp_path, words, command):
+    log = edited_imu(flying, tmp_path, IMU_REFUSED[words])
+    done = tagvio(command, log, "--out", tmp_path / "out")
+    assert done.code == 1, done
+    assert len(done.err.splitlines()) == 1, done.err
+    assert words in done.err
+    assert str(log) in done.err
+    assert tagvio("run", log, "--out", tmp_path / "out", "--vo-only").code == 0
+
+
+def test_an_imu_that_the_poses_contradict_is_a_warning(flying, tmp_path):
+    """A calm flight in deg/s looks like a fast one in rad/s; but the filter rejects the poses."""
+    done = tagvio("run", edited_imu(flying, tmp_path, in_degrees), "--out", tmp_path / "out")
+    assert done.code == 0
+    assert "vio is not to be trusted" in done.err
+    assert "units" in done.err
+
+
+def test_gravity_off_by_more_than_five_percent_is_a_warning(flying, tmp_path):
+    def heavy(i, t_ns, values, arrival):
+        return t_ns, np.append(values[:3], 1.08 * values[3:]), arrival
+
+    done = tagvio("run", edited_imu(flying, tmp_path, heavy), "--out", tmp_path / "out")
+    assert done.code == 0
+    assert "off by more than 5 %" in done.err
+    assert json.loads((tmp_path / "out/run.json").read_text())["warnings"]
+
+
+def test_a_filter_that_never_starts_is_a_warning(flying, tmp_path):
+    """The IMU ends before the filter has seen enough of it."""
+    short = tmp_path / "short"
+    shutil.copytree(flying, short)
+    rows = (short / IMU).read_text().splitlines(keepends=True)
+    (short / IMU).write_text("".join(rows[:40]))
+    done = tagvio("compare", short, "--out", tmp_path / "out")
+    assert done.code == 0
+    assert "the filter never started (still_window)" in done.err
+    content = json.loads((tmp_path / "out/comparison.json").read_text())
+    assert content["estimators"]["vio"]["capture"] is None
+    assert content["estimators"]["vio"]["now"]["coverage"] == 0.0
+    assert content["estimators"]["vo"]["capture"]["n"] > 30
+    assert tagvio("run", short, "--out", tmp_path / "run").code == 0
+    assert (tmp_path / "run/vio.tum").read_text() == ""
+
+
+def test_samples_that_are_no_numbers_are_counted_and_survived(flying, tmp_path):
+    def holes(i, t_ns, values, arrival):
+        return t_ns, (np.full(6, np.nan) if i % 50 == 7 else values), arrival
+
+    log = edited_imu(flying, tmp_path, holes)
+    summary = summary_of(log, tmp_path / "out")
+    assert summary["states"]["TRACKING"] > 400
+    assert any("imu" in cause and n >= 15 for cause, n in summary["counters"].items())

@@ -1,7 +1,14 @@
 """The loop: what it counts, in which order it feeds, and what is left when it is stopped."""
 
+import gc
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+from flying_log import write_flying_log
+from numba.core.registry import CPUDispatcher
 from simulated import DOWN, grid_map, pinhole, shot
 
 from tagvo import geometry as geo
@@ -127,3 +134,47 @@ def test_the_stopwatch_measures_each_stage_and_the_whole():
     assert all(0.0 <= t["p50"] <= t["p99"] for t in times.values())
     assert times["total"]["p99"] >= times["joint"]["p50"]
     assert Stopwatch().summary() == {}
+
+
+def test_asked_to_stop_it_ends_between_events(vo):
+    spy, said = Spy(), iter([False, False, True])
+    events = [sample(1), frame(vo, 2), sample(3), sample(4)]
+    result = run(events, vo, [spy], Stopwatch(), stop=lambda: next(said))
+    assert result.interrupted
+    assert (result.imu, result.frames, len(spy.seen)) == (1, 1, 2)
+
+
+def compiled_signatures():
+    """Every compiled function of the packages with its signatures."""
+    functions = {id(f): f for f in gc.get_objects() if isinstance(f, CPUDispatcher)}.values()
+    ours = [f for f in functions if f.py_func.__module__.split(".")[0] in ("tagvo", "vio")]
+    return {f"{f.py_func.__module__}.{f.py_func.__name__}": set(f.signatures) for f in ours}
+
+
+def test_after_the_warm_up_a_run_compiles_nothing(tmp_path):
+    """In a process of its own: others of these tests have compiled what they wanted."""
+    log = write_flying_log(tmp_path, seconds=3.0)
+    here = str(Path(__file__).parent)
+    code = f"""
+import sys
+sys.path[:0] = [{here!r}, {str(Path(here).parent)!r}]
+import vio.commands.replay_log as replay
+from cli_calls import tagvio
+from test_vio_run import compiled_signatures
+inner = replay.run
+def spied(*args):
+    before = compiled_signatures()
+    result = inner(*args)
+    after = compiled_signatures()
+    new = [name for name in after if after[name] != before.get(name, set())]
+    assert len(before) > 30 and not new, new
+    spied.times = getattr(spied, "times", 0) + 1
+    return result
+replay.run = spied
+for words in ([], ["--set", "vio.update=corners"], ["--set", "tagvo.ambiguity=prior"]):
+    done = tagvio("run", {str(log)!r}, "--out", {str(tmp_path / "out")!r}, *words)
+    assert done.code == 0, done.err
+assert spied.times == 3
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -12,6 +12,7 @@ from vio.config import Config
 from vio.errors import EvaluationError
 from vio.filter_arm import VioArm, VoKfArm
 from vio.imucheck import check_imu
+from vio.interrupt import gently
 from vio.run import RunResult, run
 from vio.sources.log import FlightLog
 from vio.stopwatch import Stopwatch
@@ -54,20 +55,36 @@ def replay_log(
             " mav0/state_groundtruth_estimate0/data.csv is needed (`tagvio run` needs none)"
         )
     with waiting("loading compiled code (the first run compiles it, up to a minute)"):
-        warm_up(log.camera, config.tagvo)
+        warm_up(log.camera, config.tagvo, None if vo_only or log.imu is None else config.vio)
     watch = Stopwatch()
     vo = TagVO(log.camera, log.tag_map, config.tagvo, lap=watch.lap)
     vio, warnings = (None, []) if vo_only else _filter(log, config, vo)
     estimators = [*arms(log, config), *([] if vio is None else [vio])]
     ask = config.tagvo.ambiguity == "prior" and vio is not None
-    with progress(log.frame_count, "frames") as step:
-        result = run(
-            log.events(), vo, estimators, watch, step, vio.prior if ask and vio else _no_prior
-        )
-    if vio is not None and not result.outputs[vio.name]:
-        why = ", ".join(vio.estimator.health().reasons)
-        warnings.append(f"{log.path}: the filter never started ({why}); vio.tum is empty")
+    prior = vio.prior if ask and vio else _no_prior
+    with progress(log.frame_count, "frames") as step, gently() as stop:
+        result = run(log.events(), vo, estimators, watch, step, prior, stop)
+    warnings += [] if vio is None else _doubts(vio, result, str(log.path))
     return Replayed(log, config, result, watch.summary(), vio, [*log.warnings, *warnings])
+
+
+def _doubts(vio: VioArm, result: RunResult, where: str) -> list[str]:
+    """What the filter's own counts say against it: it never started, or believed few poses."""
+    if not result.outputs[vio.name]:
+        why = ", ".join(vio.estimator.health().reasons)
+        return [f"{where}: the filter never started ({why}); vio.tum is empty"]
+    fused, rejected = _verdicts(vio, flt.FUSED), _verdicts(vio, _REJECTED)
+    if 2 * rejected <= fused:
+        return []
+    return [
+        f"{where}: the filter rejected {rejected} poses and took {fused}: vio is not to be trusted;"
+        " are the IMU's units (rad/s, m/s^2), axes, clock and T_cam_imu right?"
+    ]
+
+
+def _verdicts(vio: VioArm, names: tuple[str, ...]) -> int:
+    counters = vio.estimator.counters
+    return sum(counters.get(name, 0) for name in names)
 
 
 def _no_prior(t_ns: int) -> None:
@@ -75,9 +92,9 @@ def _no_prior(t_ns: int) -> None:
 
 
 def _filter(log: FlightLog, config: Config, vo: TagVO) -> tuple[VioArm | None, list[str]]:
-    """The filter's arm for a log, and warnings; none where the log has no IMU (the log says so)."""
+    """The filter's arm for a log, and warnings; no arm where the log has no IMU."""
     if log.imu is None:
-        return None, []
+        return None, [f"{log.path}: no IMU, so visual odometry runs alone (no vio)"]
     shift = round(log.camera.timeshift_s * 1e9)
     warnings = check_imu(log.imu, log.frames.t_ns + shift, str(log.path))
     core = flt.Estimator(
@@ -106,9 +123,8 @@ def frame_counts(done: Replayed) -> dict[str, int | None]:
         "rejected": None,
     }
     if done.vio is not None:
-        verdicts = done.vio.estimator.counters
-        counts["fused"] = sum(verdicts.get(v, 0) for v in flt.FUSED)
-        counts["rejected"] = sum(verdicts.get(v, 0) for v in _REJECTED)
+        counts["fused"] = _verdicts(done.vio, flt.FUSED)
+        counts["rejected"] = _verdicts(done.vio, _REJECTED)
     return counts
 
 
