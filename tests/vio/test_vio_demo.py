@@ -1,5 +1,6 @@
 """`tagvio demo --quick` from end to end, and that its flight is one a multirotor could fly."""
 
+import itertools
 import json
 
 import numpy as np
@@ -10,7 +11,8 @@ from tagvo import geometry as geo
 from vio.assets import config_path
 from vio.cli import app
 from vio.commands.demo import sentence
-from vio.commands.demo_flight import GRAVITY, demo_flight, seconds, stamps
+from vio.commands.demo_flight import GRAVITY, demo_flight, imu_samples, seconds, stamps
+from vio.records import ImuNoise
 from vio.sources.log import FlightLog
 
 
@@ -22,15 +24,56 @@ def test_quick_demo(tmp_path):
     rms = {}
     for name in ("new", "joint"):
         content = json.loads((tmp_path / name / "comparison.json").read_text())
-        assert content["frames"] == {"total": 61, "with_pose": 61, "fused": None, "rejected": None}
+        assert (content["frames"]["total"], content["frames"]["with_pose"]) == (61, 61)
         rms[name] = content["estimators"]["vo"]["capture"]["position_rmse_m"]
         assert content["estimators"]["vo"]["capture"]["coverage"] == 1.0
-        for file in ("report.html", "run.json", "vo.tum", "vo_fir.tum"):
+        for file in ("report.html", "run.json", "vo.tum"):
             assert (tmp_path / name / file).stat().st_size > 100
     assert rms["joint"] < rms["new"] < 0.02
-    last = done.output.strip().splitlines()[-1]
-    assert f"the joint pose is {1e3 * rms['joint']:.1f} mm" in last
-    assert f"the paper's {1e3 * rms['new']:.1f} mm" in last
+    held, live = (content["estimators"][name]["now"] for name in ("vo", "vio"))
+    assert content["frames"]["fused"] > 50
+    assert live["coverage"] > 0.8
+    assert live["position_rmse_m"] < 0.5 * held["position_rmse_m"]
+    assert 0.02 < live["nees_pose"] < 3.0
+    first, second = done.output.strip().splitlines()[-2:]
+    assert f"the joint pose is {1e3 * rms['joint']:.1f} mm" in first
+    assert f"the paper's {1e3 * rms['new']:.1f} mm" in first
+    assert f"the last joint pose held is {1e3 * held['position_rmse_m']:.1f} mm" in second
+    assert f"the filter (vio) {1e3 * live['position_rmse_m']:.1f} mm" in second
+
+
+def test_the_imu_is_that_of_the_rendered_flight():
+    """Integrated from the true start, without noise or bias, it comes back to the true end."""
+    flight, (frame_ns, _) = demo_flight(), stamps(quick=True)
+    t0 = seconds(frame_ns[0]) - 1.0
+    clean = ImuNoise(0.0, 0.0, 0.0, 0.0, 1000.0)
+    track = list(imu_samples(flight, clean, quick=True, turn_on=(0.0, 0.0)))
+    assert seconds(np.array(track[0].t_ns)) == t0
+    assert track[-1].t_ns == frame_ns[-1]
+    start = np.array([t0])
+    p, v, R = flight.p(start)[0], flight.v(start)[0], flight.R_WI(start)[0]
+    for a, b in itertools.pairwise(track):
+        dt = (b.t_ns - a.t_ns) * 1e-9
+        turn = geo.exp(0.25 * dt * (a.gyro_I + b.gyro_I))
+        force_W = R @ turn @ (0.5 * (a.accel_I + b.accel_I)) - [0.0, 0.0, GRAVITY]
+        p, v, R = p + dt * v + 0.5 * dt**2 * force_W, v + dt * force_W, R @ turn @ turn
+    end = seconds(frame_ns[-1:])
+    assert_allclose(p, flight.p(end)[0], atol=1e-4)
+    assert_allclose(v, flight.v(end)[0], atol=1e-4)
+    assert np.degrees(geo.angle(R.T @ flight.R_WI(end)[0])) < 1e-3
+
+
+def test_the_flight_begins_at_rest_on_the_ground():
+    flight, (frame_ns, truth_ns) = demo_flight(), stamps(quick=False)
+    rest = seconds(truth_ns)[seconds(truth_ns) < 0.0]
+    assert len(rest) == 200
+    assert_allclose(flight.p(rest), flight.p(np.zeros(1)).repeat(200, axis=0), atol=1e-12)
+    assert_allclose(flight.v(rest), 0.0, atol=1e-9)
+    samples = imu_samples(flight, ImuNoise(0.0, 0.0, 0.0, 0.0, 200.0), False, turn_on=(0.0, 0.0))
+    first = next(iter(samples))
+    assert first.t_ns == frame_ns[0] - 10**9
+    assert_allclose(first.accel_I, [0.0, 0.0, GRAVITY], atol=1e-9)
+    assert_allclose(first.gyro_I, 0.0, atol=1e-9)
 
 
 def test_the_flight_is_smooth_and_gentle():
@@ -53,12 +96,19 @@ def test_the_flight_is_smooth_and_gentle():
 
 
 def test_the_sentence_does_not_flatter():
-    def content(mm):
+    def content(mm, live=1.0):
         figures = {"position_rmse_m": 1e-3 * mm, "rotation_rmse_deg": 0.1}
-        return {"estimators": {"vo": {"capture": figures}}}
+        now = {"position_rmse_m": 1e-3 * live, "rotation_rmse_deg": 0.1}
+        held = {**now, "position_rmse_m": 2e-3}
+        return {"estimators": {"vo": {"capture": figures, "now": held}, "vio": {"now": now}}}
 
-    assert "2.0 times closer" in sentence(content(4.0), content(2.0))
-    assert "no closer" in sentence(content(2.0), content(4.0))
+    assert "2.0 times closer on" in sentence(content(4.0), content(2.0))
+    assert "no closer on" in sentence(content(2.0), content(4.0))
+    assert "2.0 times closer, at" in sentence(content(1.0), content(1.0))
+    assert "no closer, at" in sentence(content(1.0), content(1.0, live=3.0))
+    unstarted = content(1.0)
+    unstarted["estimators"]["vio"]["now"]["position_rmse_m"] = None
+    assert "gave nothing" in sentence(content(1.0), unstarted)
     nothing = {"estimators": {"vo": {"capture": None}}}
     assert sentence(nothing, nothing) == "No pose met truth, so there is nothing to compare."
 

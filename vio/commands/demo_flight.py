@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,12 +12,20 @@ from tagvo.geometry import Array, IntArray
 from tagvo.records import Frame
 from tagvo.render import Image, Look, displaced, render_view
 from tagvo.tagmap import TagMap
+from vio.records import ImuNoise, ImuSample
+
+if TYPE_CHECKING:
+    from vio.sim.trajectory import Motion
 
 SEED = 12
 GRAVITY = 9.81
+LATENCY_S = 0.06  # from the middle of an exposure to a pose on a companion computer
 _T0_NS = 1_700_000_000_000_000_000
 _FRAME_HZ, _TRUTH_HZ = 15, 100
 _QUICK_S = (5.0, 9.0)
+_REST_S = 2.0  # on the ground before take-off, the camera running
+_IMU_BEFORE_S = 1.0  # the IMU runs this long before the camera
+_IMU_STREAM = (SEED, 0, 1)  # of random numbers; (SEED, k) is that of image k
 _EXPOSURE_S, _SUB_EXPOSURES = 4e-3, 3
 _COEFFS = np.array([-0.18, 0.05, 0.001, -0.0005])  # a common wide lens
 _GREY_NOISE = 2.5
@@ -56,13 +64,19 @@ class Flight:
         y = y / np.linalg.norm(y, axis=-1, keepdims=True)
         return np.stack([np.cross(y, z), y, z], axis=-1)
 
+    def motion(self, t: Array) -> "Motion":
+        """What the simulated IMU needs of it."""
+        from vio.sim.trajectory import Motion
+
+        return Motion(t, self.p(t), self.v(t), self.a(t), self.R_WI(t))
+
     def camera(self, t: Array, camera: Camera) -> tuple[Array, Array]:
         """R_WC (..., 3, 3), p_WC (..., 3) [m]."""
         return geo.compose(self.R_WI(t), self.p(t), *geo.invert(camera.R_CI, camera.p_CI))
 
 
 def demo_flight() -> Flight:
-    """The spline of fifth degree through the waypoints, at rest at both ends."""
+    """The spline of fifth degree through the waypoints, at rest at both ends and beyond them."""
     from scipy.interpolate import make_interp_spline
 
     rest = [(1, np.zeros(4)), (2, np.zeros(4))]
@@ -70,11 +84,15 @@ def demo_flight() -> Flight:
     t, values = _WAYPOINTS[:, 0], _WAYPOINTS[:, 1:] * [1.0, 1.0, 1.0, np.pi / 180.0]
     path = make_interp_spline(t, values, k=5, bc_type=ends)
     v, a = path.derivative(1), path.derivative(2)
+
+    def within(t: Array) -> Array:
+        return np.asarray(np.clip(t, *_WAYPOINTS[[0, -1], 0]))
+
     return Flight(
-        lambda t: path(t)[..., :3],
-        lambda t: v(t)[..., :3],
-        lambda t: a(t)[..., :3],
-        lambda t: path(t)[..., 3],
+        lambda t: path(within(t))[..., :3],
+        lambda t: v(within(t))[..., :3],
+        lambda t: a(within(t))[..., :3],
+        lambda t: path(within(t))[..., 3],
     )
 
 
@@ -90,13 +108,34 @@ def seconds(t_ns: IntArray) -> Array:
 
 def stamps(quick: bool) -> tuple[IntArray, IntArray]:
     """Stamps of the frames and of the truth; quick: four seconds from the middle alone."""
-    start, end = _QUICK_S if quick else (0.0, float(_WAYPOINTS[-1, 0]))
+    start, end = _QUICK_S if quick else (-_REST_S, float(_WAYPOINTS[-1, 0]))
 
     def at(rate_hz: int) -> IntArray:
         t = start + np.arange(round((end - start) * rate_hz) + 1) / rate_hz
         return _T0_NS + np.rint(t * 1e9).astype(np.int64)
 
     return at(_FRAME_HZ), at(_TRUTH_HZ)
+
+
+def imu_samples(
+    flight: Flight, noise: ImuNoise, quick: bool, turn_on: tuple[float, float] = (0.01, 0.1)
+) -> Iterator[ImuSample]:
+    """The IMU from 1 s before the first frame on; gravity is along -z of the map.
+
+    turn_on: sigmas of its first biases [rad/s, m/s^2].
+    """
+    from vio.sim.inertial import simulate_imu
+
+    frame_ns, _ = stamps(quick)
+    start_s, end_s = seconds(frame_ns[[0, -1]]) - [_IMU_BEFORE_S, 0.0]
+    rng = np.random.default_rng(_IMU_STREAM)
+    track, _ = simulate_imu(
+        lambda t: flight.motion(t + start_s), end_s - start_s, noise, rng, turn_on=turn_on
+    )
+    offset = _T0_NS + round(start_s * 1e9)
+    for i in range(len(track)):
+        t_ns = int(track.t_ns[i]) + offset
+        yield ImuSample(t_ns, track.gyro_I[i], track.accel_I[i], t_ns)
 
 
 def frames(
@@ -109,7 +148,7 @@ def frames(
     shots = (delayed(_shot)(flight, floor, camera, k, t) for k, t in enumerate(t_ns.tolist()))
     images = Parallel(n_jobs=workers, prefer="threads", return_as="generator")(shots)
     for t, image in zip(t_ns.tolist(), images, strict=True):
-        yield Frame(t, image)
+        yield Frame(t, image, arrival_ns=t + round(LATENCY_S * 1e9))
 
 
 def _shot(flight: Flight, floor: TagMap, camera: Camera, k: int, t_ns: int) -> Image:
