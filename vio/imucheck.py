@@ -22,7 +22,7 @@ def check_imu(track: ImuTrack, frames_t_ns: IntArray, where: str) -> list[str]:
     accel = np.linalg.norm(track.accel_I, axis=-1)
     known = np.isfinite(gyro) & np.isfinite(accel)
     if int(known.sum()) < _ROWS:
-        raise LogError(f"{where}: {int(known.sum())} valid IMU rows; at least {_ROWS} are needed")
+        return [f"{where}: {int(known.sum())} valid IMU rows; the filter needs {_ROWS} and more"]
     rate, force = float(np.median(gyro[known])), float(np.median(accel[known]))
     if rate > _SPINNING:
         raise LogError(

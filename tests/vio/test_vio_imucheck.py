@@ -44,8 +44,8 @@ def test_clocks_that_do_not_overlap_are_refused():
         check_imu(track(shift=10**18), FRAMES, "imu0")
 
 
-def test_too_few_rows_are_refused():
+def test_too_few_rows_are_a_warning_since_visual_odometry_needs_none():
     short = track()
     short.accel_I[:-5] = np.nan
-    with pytest.raises(LogError, match="5 valid"):
-        check_imu(short, FRAMES, "imu0")
+    (warning,) = check_imu(short, FRAMES, "imu0")
+    assert "5 valid" in warning
