@@ -156,6 +156,11 @@ class TagVO:
                 max_hamming=d.max_hamming, threads=d.threads,
             )  # fmt: skip
         gray = gray_image(frame.image)
+        if gray.shape[::-1] != self.camera.resolution:
+            (height, width), (w, h) = gray.shape, self.camera.resolution
+            raise TagvoError(
+                f"frame {frame.t_ns}: {width}x{height} pixels; the camera file says {w}x{h}"
+            )
         found = self._detector.detect(gray)
         if not len(found):
             return found

@@ -196,6 +196,12 @@ def test_a_frame_with_neither_image_nor_detections_is_an_error():
         vo_of()(Frame(3))
 
 
+def test_an_image_of_another_size_than_the_cameras_is_an_error():
+    width, height = CAMERA.resolution
+    with pytest.raises(TagvoError, match=f"{height}x{width} pixels.*{width}x{height}"):
+        vo_of()(Frame(3, np.zeros((width, height), dtype=np.uint8)))
+
+
 def test_laps_name_the_stages_in_order():
     names = []
     vo = TagVO(CAMERA, MAP, TagvoConfig(), lap=names.append)
