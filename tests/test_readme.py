@@ -128,8 +128,8 @@ def test_links_and_named_files_exist():
 def test_configuration_keys_of_the_table_exist():
     from vio.config import load_config
 
-    rows = re.findall(r"^\| `(tagvo\.[\w.]+)` \| ([^|]+) \|", README, re.MULTILINE)
-    assert len(rows) >= 7
+    rows = re.findall(r"^\| `((?:tagvo|vio)\.[\w.]+)` \| ([^|]+) \|", README, re.MULTILINE)
+    assert len(rows) >= 12
     for key, values in rows:
-        for value in re.findall(r"`(\w+)`", values):
+        for value in re.findall(r"`([\w.]+)`", values):
             load_config(None, [f"{key}={value}"])
