@@ -13,6 +13,7 @@ from tagvo.geometry import Array
 from vio import layout as at
 from vio.settings import RigConfig, VioConfig
 
+_CONVINCED = 1.0  # log odds for the file's value from which it is believed
 _CONTRADICTION = (36.0, 25.0)  # chi-square beyond doubt: 1 dof and 3 dof, 1e-5 and less
 
 
@@ -37,7 +38,8 @@ class _Claim:
             return self._open
         if self._wide <= self._tight or float(np.linalg.eigvalsh(C)[-1]) > self._enough:
             return None
-        if _evidence(e, C + self._tight * eye) < _evidence(e, C + self._wide * eye):
+        odds = _evidence(e, C + self._tight * eye) - _evidence(e, C + self._wide * eye)
+        if odds < _CONVINCED:
             return None
         self.confirmed = True
         return np.concatenate([file, [self._tight]])

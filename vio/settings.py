@@ -40,7 +40,7 @@ class RigConfig(_Model):
     """How well a calibration holds once the flight has confirmed it, and when it can tell."""
 
     rotation_deg: PositiveFloat = 0.05
-    rotation_known_deg: PositiveFloat = 0.4
+    rotation_known_deg: PositiveFloat = 0.8
     time_offset_s: PositiveFloat = 0.0005
     time_offset_known_s: PositiveFloat = 0.003
 
