@@ -12,6 +12,7 @@ from tagvo.joint import JointConfig, JointPose, solve_joint
 from tagvo.records import PoseMeasurement, PosePrior
 
 _ALTERNATIVE_TAGS = 3  # so few tags may all flip together: both branches are tried
+_CONTRADICTION = 104.5  # median chi-square of a tag, four times the 99.9 % limit: tags disagree
 _SAME_POSE = np.radians(0.5)
 
 
@@ -127,7 +128,8 @@ def measure_joint(
     if rival is not None and gap < DECISIVE:
         cov = with_doubt(cov, (joint.R_WC, joint.p_WC), (rival.R_WC, rival.p_WC), gap)
         flags.add("ambiguous")
-    if not joint.converged or used.sum() < 0.5 * len(used):
+    contradicted = float(np.median(joint.chi2)) > _CONTRADICTION
+    if not joint.converged or contradicted or used.sum() < 0.5 * len(used):
         flags.add("degraded")
     return _measurement(t_ns, (joint.R_WC, joint.p_WC), cov, tag_ids[used], flags)
 

@@ -18,6 +18,7 @@ from vio.imu import propagate
 from vio.memory import inflation, remember
 
 _FAR = np.iinfo(np.int64).max
+_RATE_NS = 400_000_000
 
 
 @njit
@@ -52,6 +53,23 @@ def _effective(stamp: int, x: Array) -> int:
 
 
 @njit
+def _mean_rate(t: IntArray, imu: Array, k: int) -> Array:
+    """Gyro (3,) over the last `_RATE_NS` up to interval k.
+
+    It scales the time offset's column: a single noisy sample there passes for excitation, and the
+    offset is pulled to where it began with a confidence that nothing supports.
+    """
+    total, span = np.zeros(3), 0.0
+    i = k
+    while i >= 1 and (i == k or t[k] - t[i] < _RATE_NS):
+        dt = float(t[i] - t[i - 1])
+        total += dt * imu[i, 0:3]
+        span += dt
+        i -= 1
+    return total / span if span > 0.0 else imu[k, 0:3].copy()
+
+
+@njit
 def walk(
     first: int, last: int, j: int, count: int, t: IntArray, imu: Array, X: Array, P: Array,
     m_t: IntArray, m_at: IntArray, m_state: IntArray, m_nis: Array, m_z: Array,
@@ -77,7 +95,7 @@ def walk(
                 propagate(x, C, rates, (due - now) * 1e-9, q)
                 now = due
             m_at[j] = now
-            m_state[j], m_nis[j] = _apply(x, C, rates[0:3], m_z[j], par, now)
+            m_state[j], m_nis[j] = _apply(x, C, _mean_rate(t, imu, k + 1), m_z[j], par, now)
             j += 1
         if end > now:
             propagate(x, C, rates, (end - now) * 1e-9, q)

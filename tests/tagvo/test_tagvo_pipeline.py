@@ -226,3 +226,13 @@ def test_tags_where_the_lens_has_no_inverse_are_counted():
     quad = np.array([[0.0, 0], [30, 0], [30, 30], [0, 30]]) + 8.0
     trace = TagVO(bent, tag_map).trace(Frame(0, detections=Detections.of([0], [quad])))
     assert (trace.reason, trace.counts["not_undistorted"]) == ("no_usable_tags", 1)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_tags_that_contradict_one_another_give_no_pose_or_a_degraded_one(seed):
+    det = frame_at(seed).frame.detections
+    turned = Detections.of(det.tag_id, np.roll(det.corners_px, 2, axis=1))
+    pose = vo_of()(Frame(0, detections=turned))
+    assert pose is None or "degraded" in pose.flags
+    sound = vo_of()(Frame(0, detections=det))
+    assert "degraded" not in sound.flags

@@ -14,6 +14,7 @@ from vio.settings import PriorConfig, VioConfig
 from vio.sim.inertial import PIXHAWK
 from vio.sim.poses import PoseNoise, wrong_rig
 from vio.start import level_frame
+from vio.window import _mean_rate
 
 
 def run(whats, config=None, camera=CAMERA):
@@ -194,3 +195,15 @@ def test_ground_holds_the_velocity_at_zero():
             feed(estimator, what)
     assert estimator.health().state in (State.COASTING, State.LOST)
     assert np.linalg.norm(estimator.nav().v_WI) < 0.01
+
+
+def test_the_rate_behind_the_time_offset_is_a_mean_of_the_last_0_4_s():
+    rng = np.random.default_rng(5)
+    t = np.cumsum(rng.integers(3, 8, size=200)).astype(np.int64) * 1_000_000
+    imu = rng.normal(size=(200, 12))
+    rows = np.flatnonzero((t[:-1] > t[150] - 400_000_000) & (t[:-1] < t[150])) + 1
+    rows = np.union1d(rows, [rows[0] - 1 if t[150] - t[rows[0] - 1] < 400_000_000 else rows[0]])
+    dt = np.diff(t)[rows - 1]
+    expected = np.average(imu[rows, 0:3], axis=0, weights=dt)
+    np.testing.assert_allclose(_mean_rate(t, imu, 150), expected, rtol=1e-12)
+    np.testing.assert_allclose(_mean_rate(t, imu, 1), imu[1, 0:3])
