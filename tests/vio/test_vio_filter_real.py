@@ -23,8 +23,8 @@ pytestmark = pytest.mark.skipif(DATA is None, reason="TAGVIO_DATA is not set")
 FOUR = [14, 15, 20, 21]
 ROWS = {  # given: options, position rms [m] and rotation rms [deg] at most
     "four, every 4th": ({"only_tags": FOUR, "every": 4}, 0.012, 0.46),
-    "tag 14": ({"only_tags": [14]}, 0.0255, 0.52),
-    "four, blackouts": ({"only_tags": FOUR, "blackout": (3.0, 1.0)}, 0.0145, 0.47),
+    "tag 14": ({"only_tags": [14]}, 0.0245, 0.50),
+    "four, blackouts": ({"only_tags": FOUR, "blackout": (3.0, 1.0)}, 0.014, 0.46),
 }
 
 
@@ -43,6 +43,6 @@ def test_errors_on_a_hand_held_log(row, update):
     figures = stats(now_errors(trajectory("vio", result.outputs["vio"]), truth, window))
     assert figures["position_rmse_m"] < position
     assert figures["rotation_rmse_deg"] < rotation
-    assert 0.35 < figures["nees_pose"] < 3.0
+    assert 0.4 < figures["nees_pose"] < 3.0
     assert figures["coverage"] == 1.0
     assert np.isfinite(list(figures.values())).all()
