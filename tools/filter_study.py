@@ -13,7 +13,6 @@ One configuration, the default, for everything. TAGVIO_DATA names the folder of 
 import argparse
 import os
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +44,6 @@ IDENTITY = Camera("none", np.array([400.0, 400, 320, 240]), np.zeros(4), (640, 4
 R_CI = geo.exp(np.array([np.pi, 0.0, 0.0])) @ geo.exp(np.array([0.0, 0.0, 0.3]))
 RIG = Camera("none", np.array([530.0, 530, 320, 240]), np.zeros(4), (640, 480), R_CI,
              -R_CI @ np.array([0.1, 0.0, -0.05]), 0.03)  # fmt: skip
-WHITE = np.repeat([PoseNoise().white[0] ** 2, np.radians(PoseNoise().white[1]) ** 2], 3)
 
 
 def rms(x):
@@ -184,22 +182,21 @@ def autopilots(args):
 
 
 def told_noise(stream, rig_too):
-    """Outliers left out, slow errors a state of known size, the white rest in R; with the true rig
-    too, the oracle."""
-    noise, white = PoseNoise(), np.diag(WHITE)
+    """Outliers left out, the slow errors' share and time known; the oracle has the true rig too."""
+    noise = PoseNoise()
+    share = noise.slow[0] ** 2 / (noise.slow[0] ** 2 + noise.white[0] ** 2)  # the rotation's: 0.33
     prior = {
         "extrinsic_rotation_deg": 0.001 if rig_too else 2.0 / np.sqrt(3.0),
         "time_offset_s": 1e-5 if rig_too else 0.03,
         "lever_arm_m": 1e-5 if rig_too else 0.01 / np.sqrt(3.0),
-        "pose_bias_m": noise.slow[0], "pose_bias_deg": noise.slow[1],
-        "pose_bias_time_s": noise.slow_s,
     }  # fmt: skip
     config = VioConfig(
-        pose_bias=True, r_inflation=1.0, r_adapt=False, extrinsic_walk_rad=0.0,
-        time_offset_walk_s=0.0, prior=PriorConfig(**prior),
+        pose_bias_share=share, pose_bias_time_s=noise.slow_s, r_inflation=1.0, r_adapt=False,
+        lever_arm=True, extrinsic_walk_rad=0.0, time_offset_walk_s=0.0,
+        prior=PriorConfig(**prior),
     )  # fmt: skip
     good = np.flatnonzero(~stream.outlier)
-    poses = [replace(stream.poses[i], cov=white) for i in good]
+    poses = [stream.poses[i] for i in good]
     return config, PoseStream(poses, stream.arrival_ns[good], stream.outlier[good])
 
 

@@ -17,6 +17,7 @@ from vio.eskf import (
     GATE_8,
     cholesky,
     downdate,
+    see_bias,
     solve_lower,
     times_ht,
     times_p,
@@ -219,14 +220,21 @@ def _whiten(y: Array, X: Array, inflation: float, y_white: Array) -> None:
 
 @njit
 def correct_corners(
-    x: Array, P: Array, w: Array, tags: Array, inflation: float, gate: float, y_white: Array
+    x: Array,
+    P: Array,
+    w: Array,
+    tags: Array,
+    trust: tuple[float, float],
+    gate: float,
+    y_white: Array,
 ) -> tuple[int, float]:
     """Correct by the corners of tags (k, TAG_NUMBERS); what became of it, and a NIS as of 6 dof.
 
-    w (3,) gyro then; inflation multiplies the noise; gate scales the 99.9 % limits; y_white (6,)
-    receives what the accepted tags say of xi, whitened by their own noise.
+    w (3,) gyro then; trust: what multiplies the noise, and the share of it that is the pose bias's;
+    gate scales the 99.9 % limits; y_white (6,) receives what the accepted tags say of xi, bias and
+    all, whitened by their own noise.
     """
-    n = P.shape[0]
+    n, (inflation, share) = P.shape[0], trust
     H, M, P_xi = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6))
     A, b, X = np.empty((6, 6)), np.empty(6), np.empty((6, 3))
     camera_jacobian(x, w, H)
@@ -243,19 +251,20 @@ def correct_corners(
     solve_lower(A, 6, y)  # y = C^T xi + white noise, where A = C C^T
     solve_lower(A, 6, X)
     _whiten(y, X, inflation, y_white)
-    U, S, PU = np.zeros((6, n)), np.eye(6), np.zeros((6, 6))
+    U, S, r = np.zeros((6, n)), np.empty((6, 6)), y[:, 0].copy()
     for i in range(6):
         for k in range(i, 6):
             c = A[k, i]
             for j in range(n):
-                U[i, j] += c * M[k, j]
-            for j in range(6):
-                PU[i, j] += c * P_xi[k, j]
+                U[i, j] += c * H[k, j]
+    if share > 0.0:
+        see_bias(x, np.eye(6), np.sqrt(share / inflation), U, r)
+    times_p(U, P, M)
+    times_ht(M, U, S)
     for i in range(6):
+        S[i, i] += 1.0 - share
         for j in range(6):
-            for k in range(j, 6):
-                S[i, j] += PU[i, k] * A[k, j]
             for k in range(3):
                 S[i, j] += inflation * X[i, k] * X[j, k]
-    good = cholesky(S, 6) and downdate(x, P, S, U, y[:, 0].copy())
+    good = cholesky(S, 6) and downdate(x, P, S, M, r)
     return (at.ACCEPTED if good else at.SINGULAR), nis

@@ -181,32 +181,52 @@ def distance(S: Array, r: Array, first: int, m: int) -> float:
 
 
 @njit
+def see_bias(x: Array, L: Array, scale: float, H: Array, r: Array) -> None:
+    """Let the pose bias into H (6, n) and r (6,): it errs by scale L (6, 6, lower) times it."""
+    for i in range(6):
+        for j in range(i + 1):
+            H[i, at.BIAS + j] = scale * L[i, j]
+            r[i] -= scale * L[i, j] * x[at.X_BIAS + j]
+
+
+@njit
 def correct_pose(
-    x: Array, P: Array, w: Array, z: Array, inflation: float, gate: float, y_white: Array
+    x: Array,
+    P: Array,
+    w: Array,
+    z: Array,
+    trust: tuple[float, float],
+    gate: float,
+    y_white: Array,
 ) -> tuple[int, float]:
     """Correct by a camera pose z (46,) of `vio.pivot`; what became of it, and its NIS.
 
-    w (3,) gyro then; inflation multiplies cov; gate scales the 99.9 % limits (inf: no gate);
-    y_white (6,) receives the innovation whitened by cov.
+    w (3,) gyro then; trust: what multiplies cov, and the share of it that is the pose bias's; gate
+    scales the 99.9 % limits (inf: no gate); y_white (6,) receives the innovation, bias and all,
+    whitened by cov.
     """
-    n = P.shape[0]
+    n, (inflation, share) = P.shape[0], trust
     H, M, S, r = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6)), np.empty(6)
     y, R_WC = np.empty(3), np.empty((3, 3))
     pose_residual(x, z, r, y, R_WC)
     camera_jacobian(x, w, H)
     pivot_rows(H, R_WC, y, n)
-    times_p(H, P, M)
-    times_ht(M, H, S)
     L, white = np.empty((6, 6)), np.empty((6, 1))
     for i in range(6):
         white[i, 0] = r[i]
         for j in range(6):
             L[i, j] = z[7 + 6 * i + j]
-            S[i, j] += inflation * L[i, j]
     if not cholesky(L, 6):
         return at.SINGULAR, np.inf
     solve_lower(L, 6, white)
     y_white[:] = white[:, 0]
+    if share > 0.0:
+        see_bias(x, L, math.sqrt(share), H, r)
+    times_p(H, P, M)
+    times_ht(M, H, S)
+    for i in range(6):
+        for j in range(6):
+            S[i, j] += inflation * (1.0 - share) * z[7 + 6 * i + j]
     nis = distance(S, r, 0, 6)
     if nis == np.inf or nis != nis:
         return at.SINGULAR, nis

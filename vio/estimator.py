@@ -41,12 +41,10 @@ USUAL_NOISE = ImuNoise(5e-3, 5e-4, 3e-4, 2e-5)
 
 
 def process_noise(noise: ImuNoise, config: VioConfig) -> Array:
-    """The vector q of `layout` from an IMU's densities and the configuration; (10,)."""
-    c = config.prior
+    """The vector q of `layout` from an IMU's densities and the configuration; (NOISE,)."""
     sigma = [noise.gyro_density, noise.accel_density, noise.gyro_walk, noise.accel_walk]
     sigma += [config.extrinsic_walk_rad, config.time_offset_walk_s]
-    sigma += [c.pose_bias_m, float(np.radians(c.pose_bias_deg))]
-    return np.append(np.square(sigma), [1.0 / c.pose_bias_time_s, config.gravity_m_s2])
+    return np.append(np.square(sigma), [1.0 / config.pose_bias_time_s, config.gravity_m_s2])
 
 
 class Estimator:
@@ -72,17 +70,19 @@ class Estimator:
         ticks = int(np.ceil((config.buffer_s + 0.5) * max(rate, 100.0) * 1.5))
         tags = config.max_tags if config.update == "corners" else 0
         width = 2 + max(at.POSE_NUMBERS, tags * at.TAG_NUMBERS)
-        par = np.array([config.r_inflation, config.gate, float(config.r_adapt)])
+        share = -1.0 if config.pose_bias_share is None else config.pose_bias_share
+        par = np.array([config.r_inflation, config.gate, float(config.r_adapt), share])
         q = process_noise(noise, config)
         self._window = Window(dimension(config), ticks, _SLOTS, width, q, par)
-        self._intake = ImuIntake(1.0 / rate, config.gyro_max_rad_s, config.accel_max_m_s2)
+        limits = config.gyro_max_rad_s, config.accel_max_m_s2
+        self._intake = ImuIntake(1.0 / rate, *limits, config.vibration / noise.accel_density)
         self._intervals: deque[Interval] = deque()
         self._poses: deque[PoseMeasurement] = deque(maxlen=64)
         self._counters: Counter[str] = Counter()
         self._started = self._on_ground = False
         self._started_once = False
         self._waiting: tuple[str, ...] = ("no_imu", "no_pose")
-        self._accepted_ns = self._rejects = 0
+        self._accepted_ns = self._rejects = self._newest_ns = 0
         self._nis = 0.0
         self._still_ns = 0
         self._resets = 0
@@ -179,7 +179,9 @@ class Estimator:
         degraded = self._intake.degraded_at_ns
         recent = degraded is not None and w.now_ns - degraded < 10 * DEGRADED_NS
         age = max(0.0, (w.now_ns - self._accepted_ns) * 1e-9)
-        signs = Signs(age, self._rejects, self._nis, sigma_m, sigma_deg, recent)
+        ahead = self._newest_ns + round(w.X[w.last, at.X_TD] * 1e9) - w.now_ns
+        late_s = max(0.0, ahead * 1e-9)
+        signs = Signs(age, self._rejects, self._nis, sigma_m, sigma_deg, recent, late_s)
         return judge(signs, self._resets, (), self._config.health)
 
     def _remember(self, measured: PoseMeasurement) -> bool:
@@ -189,6 +191,7 @@ class Estimator:
             self._counters["pose_not_finite"] += 1
             return False
         self._poses.append(measured)
+        self._newest_ns = max(self._newest_ns, measured.t_ns)
         if self._started:
             return True
         self._try_start()
@@ -269,6 +272,23 @@ class Estimator:
         c = self._config.recovery
         if len(bad) >= c.rejects and age > c.after_s:
             self._recover(w.m_t[bad[-c.rejects :]])
+        else:
+            self._review_rotations(vision, states)
+
+    def _review_rotations(self, vision: IntArray, states: IntArray) -> None:
+        """Recover where positions pass and rotations do not, pose after unambiguous pose."""
+        w, c = self._window, self._config.recovery
+        good = vision[np.isin(states[vision], (at.ACCEPTED, at.ROTATION_ONLY))]
+        later = vision[vision > (good[-1] if good.size else -1)]
+        if len(later) < c.turned:
+            return
+        clear = {p.t_ns for p in self._poses if "ambiguous" not in p.flags}
+        turned = [int(t) for t in w.m_t[later] if int(t) in clear]
+        if len(turned) < c.turned:
+            return
+        self._rejects = max(self._rejects, len(turned))
+        if (turned[-1] - turned[0]) * 1e-9 > c.turned_after_s:
+            self._recover(np.array(turned[-c.rejects :]))
 
     def _recover(self, stamps: IntArray) -> None:
         """Move to the rejected poses where they agree; the history before is forgotten."""

@@ -65,7 +65,7 @@ def relocate(x: Array, P: Array, move: Relocation) -> tuple[Array, Array]:
     """State and covariance moved there: calibration and biases kept, the rest open again."""
     x, n = x.copy(), len(P)
     R_WI = move.turn_W @ geo.matrix_from_quat(x[at.X_Q : at.X_Q + 4])
-    x[at.X_P : at.X_P + 3] = move.p_WI - x[at.X_BIAS : at.X_BIAS + 3]
+    x[at.X_P : at.X_P + 3] = move.p_WI
     x[at.X_Q : at.X_Q + 4] = geo.quat_from_matrix(R_WI)
     x[at.X_V : at.X_V + 3] = move.turn_W @ x[at.X_V : at.X_V + 3] + move.velocity_error
     x[at.X_RECENT :] = no_memory()

@@ -19,8 +19,12 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Signs:
-    """What health is judged by: age of the last accepted pose [s], rejects in a row since, the
-    median NIS per dof of the last second, sigmas of position [m] and attitude [deg] now."""
+    """What health is judged by.
+
+    age_s: of the last accepted pose; rejects in a row since; nis: median per dof of the last
+    second; sigma_m, sigma_deg: of position and attitude now; imu_late_s: how far the newest pose
+    is ahead of the IMU.
+    """
 
     age_s: float
     rejects: int
@@ -58,6 +62,8 @@ def judge(
         reasons.append("attitude_sigma")
     if signs.age_s > config.lost_after_s:
         reasons.append("no_pose_for_long")
+    if signs.imu_late_s > config.imu_late_s:
+        reasons.append("imu_stalled")
     lost = bool(reasons)
     stale = signs.age_s > config.coasting_after_s
     if stale:

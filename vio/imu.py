@@ -201,24 +201,28 @@ def add_noise(P: Array, R_mid: Array, dt: float, q: Array, scale: Array) -> None
             P[at.V + j, at.P + i] += v * 0.5 * dt
             P[at.P + i, at.P + j] += v * third * dt
     P[at.TD, at.TD] += q[at.N_TD_WALK] * dt
-    if n == at.WITH_BIAS:
+    if n >= at.WITH_BIAS:
         _relax_bias(P, dt, q)
 
 
 @njit
 def _relax_bias(P: Array, dt: float, q: Array) -> None:
+    """The pose bias forgets at its rate; its stationary variance is 1."""
+    n = P.shape[0]
     keep = math.exp(-dt * q[at.N_BIAS_RATE])
     for i in range(at.BIAS, at.BIAS + 6):
-        for j in range(P.shape[0]):
+        for j in range(n):
             P[i, j] *= keep
-            P[j, i] *= keep
-        stationary = q[at.N_BIAS_P] if i < at.BIAS + 3 else q[at.N_BIAS_TH]
-        P[i, i] += (1.0 - keep * keep) * stationary
+    for i in range(n):
+        for j in range(at.BIAS, at.BIAS + 6):
+            P[i, j] *= keep
+    for i in range(at.BIAS, at.BIAS + 6):
+        P[i, i] += 1.0 - keep * keep
 
 
 @njit
 def propagate(x: Array, P: Array, imu: Array, dt: float, q: Array) -> None:
-    """State x (NOMINAL,) and covariance P (n, n) over dt [s], in place; q (10,) process noise.
+    """State x (NOMINAL,) and covariance P (n, n) over dt [s], in place; q (NOISE,) process noise.
 
     imu (12,): means of gyro [rad/s] and specific force [m/s^2] over the interval, in I, then what
     multiplies the white noise of each of the six axes.
@@ -229,7 +233,7 @@ def propagate(x: Array, P: Array, imu: Array, dt: float, q: Array) -> None:
     transition_into(B, x, w, f, dt, q[at.N_GRAVITY], R_mid)
     spread(P, B, dt)
     add_noise(P, R_mid, dt, q, imu[6:12])
-    if P.shape[0] == at.WITH_BIAS:
+    if P.shape[0] >= at.WITH_BIAS:
         keep = math.exp(-dt * q[at.N_BIAS_RATE])
         for i in range(at.X_BIAS, at.X_BIAS + 6):
             x[i] *= keep

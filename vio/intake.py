@@ -14,6 +14,7 @@ DEGRADED_NS = 200_000_000
 LOST_NS = 1_000_000_000
 _SATURATED = 100.0  # process noise of an axis at its limit is multiplied by this
 _SUB_STEP_NS = 10_000_000
+_SCATTER_S = 0.5  # over which the accelerometer's scatter is judged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +31,16 @@ class Interval:
 class ImuIntake:
     """Checks samples one by one; `lost` says that the last gap was too long to bridge."""
 
-    def __init__(self, period_s: float, gyro_max: float, accel_max: float) -> None:
+    def __init__(
+        self, period_s: float, gyro_max: float, accel_max: float, vibration: float = 0.0
+    ) -> None:
+        """period_s: usual step; gyro_max [rad/s], accel_max [m/s^2]: limits of the axes.
+
+        vibration: share of the accelerometer's scatter that stays in what it integrates to, over
+        the accelerometer's density [1/(m/s^2/sqrt(Hz))].
+        """
+        self._vibration = vibration
+        self._scatter, self._last_step = np.zeros(3), np.zeros(3)
         self._limit = 0.995 * np.repeat([gyro_max, accel_max], 3)
         self._period_ns = 1e9 * period_s
         self._before: ImuSample | None = None
@@ -59,7 +69,23 @@ class ImuIntake:
         if sample.t_ns - before.t_ns > LOST_NS:
             self.counters["imu_lost"] += 1
             return [], True
-        return self._cut(before, sample, np.where(wide, _SATURATED, 1.0)), False
+        scale = np.where(wide, _SATURATED, 1.0)
+        scale[3:] *= self._shaken(before, sample)
+        return self._cut(before, sample, scale), False
+
+    def _shaken(self, before: ImuSample, sample: ImuSample) -> Array:
+        """What vibration multiplies the accelerometer's noise by; (3,).
+
+        Second differences of white noise have six times its variance and no motion in them. A part
+        of what scatters so fast stays in the integral: rectified, folded down by the sampling.
+        """
+        step = sample.accel_I - before.accel_I
+        second, self._last_step = step - self._last_step, step
+        dt = (sample.t_ns - before.t_ns) * 1e-9
+        self._scatter += min(dt / _SCATTER_S, 1.0) * (second**2 / 6.0 - self._scatter)
+        return np.asarray(
+            1.0 + self._vibration**2 * self._scatter * min(dt, self._period_ns * 1e-9)
+        )
 
     def _backward(self, sample: ImuSample, before: ImuSample) -> tuple[list[Interval], bool]:
         """A stamp that does not advance is dropped; after a long step back the clock restarted."""

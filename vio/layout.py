@@ -3,7 +3,7 @@
 The nominal state x has the quaternions wxyz of R_WI, R_IC and R_WG; G is a level frame: gravity
 falls along -z of G. The error state is local (right): R = R_hat Exp(dtheta); gravity's two errors
 are the x and y of a right rotation of R_WG. The active dimension n is a prefix of the error:
-21 (base), 24 (with the lever arm), 30 (with the slowly varying pose bias too).
+21 (base), 27 (with the slowly varying pose bias), 30 (with the lever arm too).
 """
 
 # nominal state x
@@ -16,7 +16,7 @@ X_QIC = 16  # q_IC: camera in IMU
 X_TD = 20  # time offset [s]: t_imu = t_cam + td
 X_QWG = 21  # q_WG: level frame in the map
 X_PIC = 25  # p_IC [m]
-X_BIAS = 28  # pose bias: position in W [m], right rotation in C [rad]
+X_BIAS = 28  # pose bias, in units of each frame's own sigma (its covariance's Cholesky factor)
 # what the filter remembers of its innovations (vio.memory), newest first
 LAGS = 5
 X_RECENT = 34
@@ -34,9 +34,9 @@ BA = 12  # [m/s^2]
 EX = 15  # [rad], right rotation in C
 TD = 18  # [s]
 GR = 19  # [rad], two of them
-LEVER = 21  # [m], in I
-BIAS = 24  # [m] (3), [rad] (3)
-BASE, WITH_LEVER, WITH_BIAS = 21, 24, 30
+BIAS = 21  # [sigmas] (6)
+LEVER = 27  # [m], in I
+BASE, WITH_BIAS, WITH_LEVER = 21, 27, 30
 
 # process noise q: squared densities, and two figures that propagation needs
 N_GYRO = 0  # [rad^2/s]
@@ -45,11 +45,9 @@ N_GYRO_WALK = 2  # [rad^2/s^3]
 N_ACCEL_WALK = 3  # [m^2/s^5]
 N_EX_WALK = 4  # [rad^2/s]
 N_TD_WALK = 5  # [s^2/s]
-N_BIAS_P = 6  # stationary variance of the pose bias [m^2]
-N_BIAS_TH = 7  # [rad^2]
-N_BIAS_RATE = 8  # 1 / its correlation time [1/s]
-N_GRAVITY = 9  # magnitude [m/s^2]
-NOISE = 10
+N_BIAS_RATE = 6  # 1 / correlation time of the pose bias [1/s]
+N_GRAVITY = 7  # magnitude [m/s^2]
+NOISE = 8
 
 # one measurement as a row of numbers: kind, count, then its payload
 M_POSE, M_CORNERS, M_STILL, M_RIG, M_CLOCK, M_OPEN = 0, 1, 2, 3, 4, 5

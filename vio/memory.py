@@ -2,8 +2,10 @@
 
 A filter that takes correlated errors for white ones trusts them too much. White errors leave
 innovations that forget at once; correlated ones show in the innovations' autocorrelation, which is
-kept in the state (so that a replay finds it again) and moves the inflation of R between 1 and its
-limit. Every entry forgets with the same rate.
+kept in the state (so that a replay finds it again). Correlation that decays within a few frames
+moves the inflation of R between 1 and its limit; what a single decay does not explain is the share
+of R that varies slowly, and belongs to the pose bias (where R is inflated, less of it is left).
+Every entry forgets with the same rate.
 """
 
 import math
@@ -15,9 +17,14 @@ from tagvo.geometry import Array
 from vio import layout as at
 
 _FORGET = 1.0 - 1.0 / 300.0  # per measurement
-_PRIOR_WEIGHT = 6.0 * 40.0  # as much as 40 measurements know
-_PRIOR = 0.16
+_PRIOR_WEIGHT = 6.0 * 100.0  # as much as 100 measurements know
+_PRIOR = (0.5, 0.43, 0.38, 0.36, 0.36)  # by lag: cautious until the innovations tell
 _LOW, _HIGH = 0.05, 0.2  # autocorrelation where inflation begins, and where it is at its limit
+_SEEN, _UNSEEN = (
+    1.5,
+    0.05,
+)  # slow share per autocorrelation seen: the filter has followed a part of the error
+_MOST = 0.9  # slow share
 _CLIP = 4.7  # no innovation counts for more than the gate's limit
 _GAP_S = 0.5
 
@@ -26,21 +33,47 @@ def no_memory() -> Array:
     """The state's memory at the start; (MEMORY,)."""
     out = np.zeros(at.MEMORY)
     out[at.X_SUMS - at.X_RECENT] = _PRIOR_WEIGHT
-    out[at.X_SUMS - at.X_RECENT + 1 : at.X_LAST - at.X_RECENT] = _PRIOR * _PRIOR_WEIGHT
+    out[at.X_SUMS - at.X_RECENT + 1 : at.X_LAST - at.X_RECENT] = np.array(_PRIOR) * _PRIOR_WEIGHT
     return out
 
 
 @njit
-def inflation(x: Array, par: Array) -> float:
-    """By how much R is multiplied now; par (3,): usual inflation, gate, whether to adapt."""
+def _slow(x: Array) -> float:
+    """Autocorrelation at the longest lags beyond what one exponential through lag 1 leaves."""
+    first, beyond = max(x[at.X_SUMS + 1] / x[at.X_SUMS], 0.0), 0.0
+    for lag in range(at.LAGS - 1, at.LAGS + 1):
+        beyond += 0.5 * (x[at.X_SUMS + lag] / x[at.X_SUMS] - first**lag)
+    return max(beyond, 0.0)
+
+
+@njit
+def _fast(x: Array, n: int) -> float:
+    """How far, from 0 to 1, the autocorrelation that decays within a few frames asks for more R."""
+    rho = x[at.X_SUMS + 1] / x[at.X_SUMS]
+    if n >= at.WITH_BIAS:
+        rho -= _slow(x)
+    return float(min(max((rho - _LOW) / (_HIGH - _LOW), 0.0), 1.0))
+
+
+@njit
+def slow_share(x: Array, par: Array, n: int) -> float:
+    """Which share of a pose's variance varies slowly; par as for `inflation`, par[3] >= 0 fixes it.
+
+    n: active error dimension; without the pose bias there is no such share.
+    """
+    if n < at.WITH_BIAS:
+        return 0.0
+    if par[3] >= 0.0:
+        return min(float(par[3]), _MOST)
+    return min(max(_SEEN * (_slow(x) - _LOW), 0.0), _MOST)
+
+
+@njit
+def inflation(x: Array, par: Array, n: int) -> float:
+    """By how much R is multiplied now; par (4,): usual inflation, gate, whether to adapt, share."""
     if par[2] == 0.0:
         return float(par[0])
-    mean = 0.0
-    for lag in range(1, at.LAGS + 1):
-        mean += x[at.X_SUMS + lag] / at.LAGS
-    rho = max(mean, x[at.X_SUMS + 1]) / x[at.X_SUMS]
-    s = min(max((rho - _LOW) / (_HIGH - _LOW), 0.0), 1.0)
-    return float(1.0 + s * max(2.0 * par[0] - 1.0, 0.0))
+    return float(1.0 + _fast(x, n) * max(2.0 * par[0] - 1.0, 0.0))
 
 
 @njit

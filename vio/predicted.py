@@ -11,24 +11,23 @@ import numpy as np
 from tagvo.compiled import njit
 from tagvo.geometry import Array
 from vio import layout as at
-from vio.imu import exp_quat, matrix_into, turn_quat
+from vio.imu import matrix_into, turn_quat
 
 
 @njit
 def camera_pose(x: Array, R_WC: Array, p_WC: Array) -> None:
-    """R_WC (3, 3), p_WC (3,) := the camera pose that the state predicts, its bias included."""
+    """R_WC (3, 3), p_WC (3,) := the camera pose that the state predicts."""
     q = np.empty(4)
     R_WI = np.empty((3, 3))
     matrix_into(R_WI, x[at.X_Q], x[at.X_Q + 1], x[at.X_Q + 2], x[at.X_Q + 3])
     q[:] = x[at.X_Q : at.X_Q + 4]
     turn_quat(q, 0, (x[at.X_QIC], x[at.X_QIC + 1], x[at.X_QIC + 2], x[at.X_QIC + 3]))
-    turn_quat(q, 0, exp_quat(x[at.X_BIAS + 3], x[at.X_BIAS + 4], x[at.X_BIAS + 5]))
     matrix_into(R_WC, q[0], q[1], q[2], q[3])
     for i in range(3):
         lever = 0.0
         for k in range(3):
             lever += R_WI[i, k] * x[at.X_PIC + k]
-        p_WC[i] = x[at.X_P + i] + lever + x[at.X_BIAS + i]
+        p_WC[i] = x[at.X_P + i] + lever
 
 
 @njit
@@ -44,30 +43,22 @@ def _times_hat(out: Array, row: int, col: int, R: Array, v: Array, s: float) -> 
 def camera_jacobian(x: Array, w: Array, H: Array) -> None:
     """H (6, n) := d xi / d error state; w (3,) gyro at that moment, bias included [rad/s]."""
     n = H.shape[1]
-    R_WI, R_CI, R_bias = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    R_WI, R_CI = np.empty((3, 3)), np.empty((3, 3))
     matrix_into(R_WI, x[at.X_Q], x[at.X_Q + 1], x[at.X_Q + 2], x[at.X_Q + 3])
-    b = exp_quat(-x[at.X_BIAS + 3], -x[at.X_BIAS + 4], -x[at.X_BIAS + 5])
-    matrix_into(R_bias, b[0], b[1], b[2], b[3])
-    q = np.empty(4)
-    q[0], q[1], q[2], q[3] = b
-    turn_quat(q, 0, (x[at.X_QIC], -x[at.X_QIC + 1], -x[at.X_QIC + 2], -x[at.X_QIC + 3]))
-    matrix_into(R_CI, q[0], q[1], q[2], q[3])  # C as biased <- I
+    matrix_into(R_CI, x[at.X_QIC], -x[at.X_QIC + 1], -x[at.X_QIC + 2], -x[at.X_QIC + 3])
     H[:] = 0.0
     _times_hat(H, 0, at.TH, R_WI, x[at.X_PIC : at.X_PIC + 3], -1.0)
     for i in range(3):
         H[i, at.P + i] = 1.0
+        H[3 + i, at.EX + i] = 1.0
         H[i, at.TD] = x[at.X_V + i]
         for k in range(3):
             rate = w[k] - x[at.X_BG + k]
             H[i, at.TD] += H[i, at.TH + k] * rate
             H[3 + i, at.TH + k] = R_CI[i, k]
             H[3 + i, at.TD] += R_CI[i, k] * rate
-            H[3 + i, at.EX + k] = R_bias[i, k]
-            if n > at.BASE:
+            if n >= at.WITH_LEVER:
                 H[i, at.LEVER + k] = R_WI[i, k]
-    if n > at.WITH_LEVER:
-        for i in range(6):
-            H[i, at.BIAS + i] = 1.0
 
 
 @njit
@@ -80,7 +71,6 @@ def pose_residual(x: Array, z: Array, r: Array, y: Array, R_WC: Array) -> None:
     camera_pose(x, R_WC, p_WC)
     q[:] = x[at.X_Q : at.X_Q + 4]
     turn_quat(q, 0, (x[at.X_QIC], x[at.X_QIC + 1], x[at.X_QIC + 2], x[at.X_QIC + 3]))
-    turn_quat(q, 0, exp_quat(x[at.X_BIAS + 3], x[at.X_BIAS + 4], x[at.X_BIAS + 5]))
     q[1], q[2], q[3] = -q[1], -q[2], -q[3]
     turn_quat(q, 0, (z[3], z[4], z[5], z[6]))
     s = math.sqrt(q[1] * q[1] + q[2] * q[2] + q[3] * q[3])

@@ -1,8 +1,10 @@
 """What can be set about the filter: one frozen model, every figure with its unit."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+ShareFloat = Annotated[float, Field(ge=0.0, lt=1.0)]
 
 
 class _Model(BaseModel):
@@ -21,9 +23,6 @@ class PriorConfig(_Model):
     time_offset_s: NonNegativeFloat = 0.03
     gravity_deg: PositiveFloat = 8.0
     lever_arm_m: PositiveFloat = 0.01
-    pose_bias_m: PositiveFloat = 0.015
-    pose_bias_deg: PositiveFloat = 0.7
-    pose_bias_time_s: PositiveFloat = 5.0
 
 
 class StartConfig(_Model):
@@ -46,10 +45,16 @@ class RigConfig(_Model):
 
 
 class RecoveryConfig(_Model):
-    """When to believe rejected poses that agree with one another."""
+    """When to believe rejected poses that agree with one another.
+
+    turned, turned_after_s: the same for poses whose rotation alone is rejected. Those that tagvo
+    calls ambiguous do not count: a planar flip that lasts is no reason to turn over.
+    """
 
     rejects: PositiveInt = 5
     after_s: PositiveFloat = 0.5
+    turned: PositiveInt = 10
+    turned_after_s: PositiveFloat = 1.0
     spread_m: PositiveFloat = 0.15
     spread_deg: PositiveFloat = 6.0
 
@@ -59,6 +64,7 @@ class HealthConfig(_Model):
 
     coasting_after_s: PositiveFloat = 0.3
     lost_after_s: PositiveFloat = 5.0
+    imu_late_s: PositiveFloat = 0.3
     lost_sigma_m: PositiveFloat = 0.5
     lost_sigma_deg: PositiveFloat = 10.0
 
@@ -68,7 +74,10 @@ class VioConfig(_Model):
 
     `r_inflation` multiplies the poses' covariance, for errors that are correlated in time; with
     `r_adapt` it is what such errors usually need, and the factor moves between 1 and twice as much
-    by how correlated the innovations turn out to be.
+    by how correlated the innovations turn out to be. `pose_bias`: a slowly varying error of the
+    poses is a state; its share of their variance is learnt where `pose_bias_share` is None.
+    `vibration`: which share of the accelerometer's scatter from sample to sample stays in what it
+    integrates to, on top of the density that the IMU's file states.
     """
 
     update: Literal["pose", "corners"] = "pose"
@@ -76,12 +85,15 @@ class VioConfig(_Model):
     r_adapt: bool = True
     gate: PositiveFloat = 1.0
     lever_arm: bool = False
-    pose_bias: bool = False
+    pose_bias: bool = True
+    pose_bias_share: ShareFloat | None = None
+    pose_bias_time_s: PositiveFloat = 5.0
     gravity_m_s2: PositiveFloat = 9.81
     buffer_s: PositiveFloat = 1.0
     max_tags: PositiveInt = 48
     extrinsic_walk_rad: NonNegativeFloat = 1e-5
-    time_offset_walk_s: NonNegativeFloat = 1e-5
+    time_offset_walk_s: NonNegativeFloat = 1e-3
+    vibration: NonNegativeFloat = 0.25
     still_sigma_m_s: PositiveFloat = 0.02
     still_every_s: PositiveFloat = 0.2
     gyro_max_rad_s: PositiveFloat = 34.9

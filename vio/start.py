@@ -163,7 +163,7 @@ def prior_covariance(config: VioConfig, still: bool, gravity_sigma: float | None
     """P (n, n) at the start; at rest the velocity and the gyro bias are known better."""
     c = config.prior
     rad = np.radians
-    sigma = np.zeros(at.WITH_BIAS)
+    sigma = np.zeros(at.WITH_LEVER)
     sigma[at.P : at.P + 3] = c.position_m
     sigma[at.V : at.V + 3] = 0.1 if still else c.velocity_m_s
     sigma[at.TH : at.TH + 3] = rad(c.attitude_deg)
@@ -172,15 +172,14 @@ def prior_covariance(config: VioConfig, still: bool, gravity_sigma: float | None
     sigma[at.EX : at.EX + 3] = rad(c.extrinsic_rotation_deg)
     sigma[at.TD] = c.time_offset_s
     sigma[at.GR : at.GR + 2] = rad(c.gravity_deg) if gravity_sigma is None else gravity_sigma
+    sigma[at.BIAS : at.BIAS + 6] = 1.0
     sigma[at.LEVER : at.LEVER + 3] = c.lever_arm_m
-    sigma[at.BIAS : at.BIAS + 3] = c.pose_bias_m
-    sigma[at.BIAS + 3 :] = rad(c.pose_bias_deg)
     n = dimension(config)
     return np.diag(np.square(np.maximum(sigma[:n], 1e-9)))
 
 
 def dimension(config: VioConfig) -> int:
-    """Active error dimension: 21, 24 with the lever arm, 30 with the pose bias too."""
-    if config.pose_bias:
-        return at.WITH_BIAS
-    return at.WITH_LEVER if config.lever_arm else at.BASE
+    """Active error dimension: 21, 27 with the pose bias, 30 with the lever arm too."""
+    if config.lever_arm:
+        return at.WITH_LEVER
+    return at.WITH_BIAS if config.pose_bias else at.BASE

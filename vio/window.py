@@ -15,7 +15,7 @@ from vio import layout as at
 from vio.corners import correct_corners
 from vio.eskf import correct_clock, correct_pose, correct_rig, correct_still
 from vio.imu import propagate
-from vio.memory import inflation, remember
+from vio.memory import inflation, remember, slow_share
 
 _FAR = np.iinfo(np.int64).max
 _RATE_NS = 100_000_000
@@ -35,13 +35,14 @@ def _apply(x: Array, P: Array, w: Array, z: Array, par: Array, t_ns: int) -> tup
         for i in range(int(z[3]), int(z[3] + z[4])):
             P[i, i] += z[2]
         return at.ACCEPTED, 0.0
-    y, factor = np.zeros(6), inflation(x, par)
+    n, y = P.shape[0], np.zeros(6)
+    trust = inflation(x, par, n), slow_share(x, par, n)
     if kind == at.M_POSE:
-        verdict, nis = correct_pose(x, P, w, z[2:], factor, par[1], y)
+        verdict, nis = correct_pose(x, P, w, z[2:], trust, par[1], y)
     else:
-        n = int(z[1])
-        tags = z[2 : 2 + n * at.TAG_NUMBERS].reshape((n, at.TAG_NUMBERS))
-        verdict, nis = correct_corners(x, P, w, tags, factor, par[1], y)
+        k = int(z[1])
+        tags = z[2 : 2 + k * at.TAG_NUMBERS].reshape((k, at.TAG_NUMBERS))
+        verdict, nis = correct_corners(x, P, w, tags, trust, par[1], y)
     if verdict == at.ACCEPTED:
         remember(x, y, t_ns * 1e-9)
     return verdict, nis
@@ -78,8 +79,8 @@ def walk(
     """Fill the snapshots first+1..last from snapshot `first`, applying measurements from j on.
 
     t (k,), imu (k, 12): end of each interval, its gyro, accel and noise scale; X, P snapshots;
-    m_*: stamps in order, effective times, verdicts, NIS and payloads; par: usual inflation,
-    gate, whether to adapt.
+    m_*: stamps in order, effective times, verdicts, NIS and payloads; par: see
+    `vio.memory.inflation`.
     """
     for k in range(first, last):
         x, C = X[k + 1], P[k + 1]

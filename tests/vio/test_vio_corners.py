@@ -90,8 +90,10 @@ def test_noise_is_that_of_corners_and_of_laying():
     assert_allclose(N, np.cov(x_n.reshape(-1, 8).T), atol=0.04 * np.abs(N).max())
 
 
-@pytest.mark.parametrize("n", [at.BASE, at.WITH_BIAS])
-def test_update_equals_all_corners_stacked(n):
+@pytest.mark.parametrize(
+    ("n", "share"), [(at.BASE, 0.0), (at.WITH_BIAS, 0.0), (at.WITH_LEVER, 0.3)]
+)
+def test_update_equals_all_corners_stacked(n, share):
     x, tag_map, rng = scene(2)
     P, inflation = spread_of(rng, n), 3.0
     rows = packed(seen(x, tag_map, rng), tag_map)
@@ -108,14 +110,19 @@ def test_update_equals_all_corners_stacked(n):
     A = np.concatenate([b[1] for b in parts]).T @ np.linalg.inv(R)
     info = A @ np.concatenate([b[1] for b in parts])
     D = np.linalg.solve(info, A @ B)
-    R_xi = inflation * (np.linalg.inv(info) + D @ D.T)
+    cov = np.linalg.inv(info)  # of R without inflation: `blocks` asks for none
     xi = np.linalg.solve(info, A @ r)
+    if share > 0.0:  # in units of the upper factor of that covariance
+        C = np.linalg.inv(np.linalg.cholesky(info)).T
+        H6[:, at.BIAS : at.BIAS + 6] = np.sqrt(share) * C
+        xi = xi - H6[:, at.BIAS : at.BIAS + 6] @ x[at.X_BIAS : at.X_BIAS + 6]
+    R_xi = inflation * ((1.0 - share) * cov + D @ D.T)
     S = H6 @ P @ H6.T + R_xi
     K = np.linalg.solve(S, H6 @ P).T
     dx = np.zeros(30)
     dx[:n] = K @ xi
     ours, P_ours = x.copy(), P.copy()
-    verdict, nis = correct_corners(ours, P_ours, W, rows, inflation, np.inf, np.empty(6))
+    verdict, nis = correct_corners(ours, P_ours, W, rows, (inflation, share), np.inf, np.empty(6))
     assert verdict == at.ACCEPTED
     assert nis > 0.0
     assert_allclose(minus(ours, retract(x, dx)), 0.0, atol=1e-8)
@@ -130,7 +137,10 @@ def test_a_moved_tag_is_gated_and_the_others_count():
     obs.corners_n[1] += 60.0 / F
     P = 1e-6 * np.eye(21)
     before = x.copy()
-    assert correct_corners(x, P, W, packed(obs, tag_map), 1.0, 1.0, np.empty(6))[0] == at.ACCEPTED
+    assert (
+        correct_corners(x, P, W, packed(obs, tag_map), (1.0, 0.0), 1.0, np.empty(6))[0]
+        == at.ACCEPTED
+    )
     assert np.linalg.norm(minus(x, before)[:3]) < 0.01
 
 
@@ -139,7 +149,10 @@ def test_nothing_but_moved_tags_is_rejected():
     obs = seen(x, tag_map, rng)
     obs.corners_n[:] += 60.0 / F
     P, before = 1e-6 * np.eye(21), x.copy()
-    assert correct_corners(x, P, W, packed(obs, tag_map), 1.0, 1.0, np.empty(6))[0] == at.REJECTED
+    assert (
+        correct_corners(x, P, W, packed(obs, tag_map), (1.0, 0.0), 1.0, np.empty(6))[0]
+        == at.REJECTED
+    )
     assert np.array_equal(x, before)
 
 
@@ -149,10 +162,10 @@ def test_tags_behind_the_camera_and_without_noise_do_no_harm():
     rows[0, 20:32] = np.tile(predicted(x)[1], 4)  # its corners stand at the camera
     rows[1, 8:20] = rows[1, 32:50] = 0.0  # no noise, laid exactly: N is singular
     P = 1e-4 * np.eye(21)
-    verdict, _ = correct_corners(x, P, W, rows, 1.0, np.inf, np.empty(6))
+    verdict, _ = correct_corners(x, P, W, rows, (1.0, 0.0), np.inf, np.empty(6))
     assert verdict == at.ACCEPTED
     assert np.isfinite(x).all()
-    verdict, _ = correct_corners(x, P, W, rows[:2], 1.0, 1.0, np.empty(6))
+    verdict, _ = correct_corners(x, P, W, rows[:2], (1.0, 0.0), 1.0, np.empty(6))
     assert verdict == at.REJECTED
 
 

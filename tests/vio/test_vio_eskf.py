@@ -80,14 +80,13 @@ def test_time_offset_column_is_the_motion_of_the_camera():
 
 def test_pivot_rows_are_the_derivative_of_the_residual():
     x, rng = a_state(9)
-    x[at.X_BIAS : at.X_BIAS + 6] = 0.0
     z = pose_row(measured(x, rng, exact=True))[2:]
     _, y, R = residual(x, z)
-    H = np.empty((6, 24))
+    H = np.empty((6, 30))
     camera_jacobian(x, W, H)
-    pivot_rows(H, R, y, 24)
+    pivot_rows(H, R, y, 30)
     h = 1e-6
-    for i in [*range(at.TD), *range(at.LEVER, 24)]:
+    for i in [*range(at.TD), *range(at.LEVER, 30)]:
         d = np.zeros(30)
         d[i] = h
         slope = (residual(retract(x, -d), z)[0] - residual(retract(x, d), z)[0]) / (2 * h)
@@ -108,8 +107,9 @@ def test_pivot_decouples_position_and_rotation():
 
 
 @pytest.mark.parametrize("n", [at.BASE, at.WITH_LEVER, at.WITH_BIAS])
+@pytest.mark.parametrize("share", [0.0, 0.4])
 @pytest.mark.parametrize("seed", range(3))
-def test_correction_equals_joseph_form_and_filterpy(n, seed):
+def test_correction_equals_joseph_form_and_filterpy(n, seed, share):
     from filterpy.kalman import update
 
     x, rng = a_state(seed)
@@ -119,7 +119,12 @@ def test_correction_equals_joseph_form_and_filterpy(n, seed):
     H = np.empty((6, n))
     camera_jacobian(x, W, H)
     pivot_rows(H, R_WC, y, n)
-    R = 2.0 * z[7:43].reshape(6, 6)
+    cov = z[7:43].reshape(6, 6)
+    share = share if n >= at.WITH_BIAS else 0.0
+    R = 2.0 * (1.0 - share) * cov
+    if share > 0.0:  # the pose bias is in units of the covariance's Cholesky factor
+        H[:, at.BIAS : at.BIAS + 6] = np.sqrt(share) * np.linalg.cholesky(cov)
+        r = r - H[:, at.BIAS : at.BIAS + 6] @ x[at.X_BIAS : at.X_BIAS + 6]
     S = H @ P @ H.T + R
     K = np.linalg.solve(S, H @ P).T
     dx = np.zeros(30)
@@ -132,7 +137,7 @@ def test_correction_equals_joseph_form_and_filterpy(n, seed):
     for i in (at.TH, at.EX):
         G[i : i + 3, i : i + 3] -= 0.5 * geo.hat(dx[i : i + 3])
     ours, P_ours = x.copy(), P.copy()
-    verdict, nis = correct_pose(ours, P_ours, W, z, 2.0, np.inf, np.empty(6))
+    verdict, nis = correct_pose(ours, P_ours, W, z, (2.0, share), np.inf, np.empty(6))
     assert verdict == at.ACCEPTED
     assert nis == pytest.approx(r @ np.linalg.solve(S, r))
     assert_allclose(minus(ours, retract(x, dx)), 0.0, atol=1e-10)
@@ -183,7 +188,7 @@ def test_gate_takes_position_and_rotation_apart(shift, turn, verdict):
         1e-4 * np.eye(6), (0,),
     )  # fmt: skip
     before, P_before = x.copy(), P.copy()
-    came, nis = correct_pose(x, P, W, pose_row(m)[2:], 1.0, 1.0, np.empty(6))
+    came, nis = correct_pose(x, P, W, pose_row(m)[2:], (1.0, 0.0), 1.0, np.empty(6))
     assert came == verdict
     assert (nis > 22.0) == (verdict != at.ACCEPTED)
     if verdict == at.REJECTED:
@@ -197,7 +202,7 @@ def test_singular_or_broken_covariance_changes_nothing():
     z = pose_row(measured(x, np.random.default_rng(0)))[2:]
     for broken in (np.zeros(36), np.full(36, np.nan), -np.eye(6).ravel()):
         z[7:43] = broken
-        verdict, _ = correct_pose(x, P, W, z, 1.0, 1.0, np.empty(6))
+        verdict, _ = correct_pose(x, P, W, z, (1.0, 0.0), 1.0, np.empty(6))
         assert verdict == at.SINGULAR
         assert np.array_equal(x, before)
 

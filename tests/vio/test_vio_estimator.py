@@ -142,12 +142,26 @@ def test_a_true_calibration_is_confirmed_and_held():
 def test_inflation_follows_the_memory_of_the_errors():
     from vio.memory import inflation
 
-    par = np.array([4.0, 1.0, 1.0])
+    par = np.array([4.0, 1.0, 1.0, -1.0])
     slow = PoseNoise(white=(0.003, 0.1), slow=(0.02, 0.7), slow_s=0.3, outliers=0.0, dropouts=0)
     white = replay(fly("T3", 8, PoseNoise(slow=(0.0, 0.0), outliers=0.0, dropouts=0)))
     correlated = replay(fly("T3", 8, slow))
-    assert inflation(white.estimator.state(), par) < 2.5
-    assert inflation(correlated.estimator.state(), par) > 6.0
+    assert inflation(white.estimator.state(), par, at.WITH_BIAS) < 2.5
+    assert inflation(correlated.estimator.state(), par, at.WITH_BIAS) > 6.0
+
+
+def test_the_slow_share_is_learnt():
+    """Errors that last 5 s are told from white ones; where they are told nothing, none is."""
+    from vio.memory import slow_share
+
+    par = np.array([4.0, 1.0, 1.0, -1.0])
+    white = replay(fly("T3", 8, PoseNoise(slow=(0.0, 0.0), outliers=0.0, dropouts=0)))
+    slow = replay(fly("T3", 8, PoseNoise(slow=(0.025, 1.0), outliers=0.0, dropouts=0)))  # half
+    assert slow_share(white.estimator.state(), par, at.WITH_BIAS) < 0.1
+    assert 0.2 < slow_share(slow.estimator.state(), par, at.WITH_BIAS) < 0.8
+    assert slow_share(slow.estimator.state(), par, at.BASE) == 0.0
+    par[3] = 0.4
+    assert slow_share(white.estimator.state(), par, at.WITH_BIAS) == 0.4
 
 
 def test_prior_is_where_the_camera_will_be():
@@ -197,12 +211,12 @@ def test_ground_holds_the_velocity_at_zero():
     assert np.linalg.norm(estimator.nav().v_WI) < 0.01
 
 
-def test_the_rate_behind_the_time_offset_is_a_mean_of_the_last_0_4_s():
+def test_the_rate_behind_the_time_offset_is_a_mean_of_the_last_0_1_s():
     rng = np.random.default_rng(5)
     t = np.cumsum(rng.integers(3, 8, size=200)).astype(np.int64) * 1_000_000
     imu = rng.normal(size=(200, 12))
-    rows = np.flatnonzero((t[:-1] > t[150] - 400_000_000) & (t[:-1] < t[150])) + 1
-    rows = np.union1d(rows, [rows[0] - 1 if t[150] - t[rows[0] - 1] < 400_000_000 else rows[0]])
+    rows = np.flatnonzero((t[:-1] > t[150] - 100_000_000) & (t[:-1] < t[150])) + 1
+    rows = np.union1d(rows, [rows[0] - 1 if t[150] - t[rows[0] - 1] < 100_000_000 else rows[0]])
     dt = np.diff(t)[rows - 1]
     expected = np.average(imu[rows, 0:3], axis=0, weights=dt)
     np.testing.assert_allclose(_mean_rate(t, imu, 150), expected, rtol=1e-12)

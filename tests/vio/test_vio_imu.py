@@ -10,9 +10,9 @@ from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
 from vio import layout as at
-from vio.imu import add_noise, exp_quat, mechanise, propagate, spread, transition_into
+from vio.imu import _relax_bias, add_noise, exp_quat, mechanise, propagate, spread, transition_into
 
-Q = np.square([3e-4, 5e-3, 2e-5, 5e-4, 1e-5, 1e-5, 0.015, 0.012, 0.0, 0.0])
+Q = np.square([3e-4, 5e-3, 2e-5, 5e-4, 1e-5, 1e-5, 0.0, 0.0])
 Q[at.N_BIAS_RATE], Q[at.N_GRAVITY] = 0.2, 9.81
 
 
@@ -87,11 +87,11 @@ def test_transition_is_the_derivative_of_the_step(seed, dt):
     F, _, _ = dense_transition(x, w, f, dt, 24)
     after, h = step(x, w, f, dt), 1e-6
     numeric = np.zeros((24, 24))
-    for i in range(24):
+    for i in range(at.BASE):
         d = np.zeros(30)
         d[i] = h
         plus, less = step(retract(x, d), w, f, dt), step(retract(x, -d), w, f, dt)
-        numeric[:, i] = (minus(plus, after) - minus(less, after))[:24] / (2.0 * h)
+        numeric[:, i] = (minus(plus, after) - minus(less, after))[: at.BASE] / (2.0 * h)
     assert_allclose(F, numeric, atol=2e-8)
 
 
@@ -167,11 +167,26 @@ def test_exponential_equals_tagvos(seed, size):
     assert_allclose(R, geo.exp(phi), atol=1e-12)
 
 
-def test_the_pose_bias_forgets_and_keeps_its_stationary_spread():
+@pytest.mark.parametrize("n", [at.WITH_BIAS, at.WITH_LEVER])
+def test_the_pose_bias_forgets_and_keeps_its_stationary_spread(n):
     x, _ = a_state(2)
-    P = np.eye(30) * 1e-4
+    P = np.eye(n) * 1e-4
     b = x[at.X_BIAS]
     for _ in range(20000):
         propagate(x, P, np.array([0.0] * 5 + [9.81] + [1.0] * 6), 0.005, Q)
     assert abs(x[at.X_BIAS]) < abs(b) * 1e-6
-    assert_allclose(np.diag(P)[at.BIAS : at.BIAS + 3], 0.015**2, rtol=1e-3)
+    assert_allclose(np.diag(P)[at.BIAS : at.BIAS + 6], 1.0, rtol=1e-3)
+
+
+def test_relaxing_the_pose_bias_is_a_gauss_markov_step():
+    rng = np.random.default_rng(4)
+    A = rng.normal(size=(at.WITH_LEVER, at.WITH_LEVER))
+    P, dt = A @ A.T, 0.2
+    F, Q_dense = np.eye(at.WITH_LEVER), np.zeros_like(P)
+    keep = np.exp(-dt * Q[at.N_BIAS_RATE])
+    for i in range(at.BIAS, at.BIAS + 6):
+        F[i, i], Q_dense[i, i] = keep, 1.0 - keep**2
+    expected = F @ P @ F.T + Q_dense
+    _relax_bias(P, dt, Q)
+    assert_allclose(P, expected, atol=1e-12 * np.abs(expected).max())
+    assert np.array_equal(P, P.T)

@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flights import (
+    CAMERA,
     CLEAN,
     edit_imu,
     edit_poses,
+    events,
+    feed,
     fly,
     reasons_between,
     replay,
@@ -18,6 +21,9 @@ from flights import (
 from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
+from vio.estimator import Estimator
+from vio.settings import VioConfig
+from vio.sim.inertial import PIXHAWK
 from vio.sim.poses import PoseNoise
 from vio.sim.trajectory import circle
 
@@ -186,12 +192,6 @@ def test_poses_that_agree_with_nothing_never_start():
 
 
 def replay_states(flown):
-    from flights import CAMERA, events, feed
-
-    from vio.estimator import Estimator
-    from vio.settings import VioConfig
-    from vio.sim.inertial import PIXHAWK
-
     estimator = Estimator(VioConfig(), CAMERA, PIXHAWK)
     states = set()
     for what in events(flown):
@@ -234,3 +234,46 @@ def test_a_wrong_start_is_left_behind():
     track = replay(moved)
     assert rms(track.p[track.t_s > 4.0]) < 0.08
     assert states_between(track, 4.0, 9.9) == {"TRACKING"}
+
+
+def turned_from(flown, t_s, flags=()):
+    """Rotations 40 degrees off from then on; positions are right, and the poses carry the flags."""
+    flip = geo.exp(np.array([0.0, 0.7, 0.0]))
+    return edit_poses(
+        flown,
+        lambda p: replace(p, R_WC=p.R_WC @ flip, flags=flags) if p.t_ns > t_s * 1e9 else p,
+    )
+
+
+def test_an_attitude_that_all_poses_deny_is_given_up():
+    """Positions pass the gate, rotations do not: after a second the filter turns to the poses."""
+    track = replay(turned_from(fly("T3", 16, NOISY, seconds=14.0), 6.0))
+    assert track.estimator.counters["fused_position"] >= 10
+    assert track.estimator.counters["resets"] == 1
+    assert np.degrees(np.linalg.norm(track.rotation[track.t_s > 10.0], axis=1)).min() > 30.0
+
+
+def test_a_lasting_planar_flip_turns_nothing_over():
+    track = replay(turned_from(fly("T3", 16, NOISY, seconds=14.0), 6.0, flags=("ambiguous",)))
+    assert "resets" not in track.estimator.counters
+    assert np.degrees(np.linalg.norm(track.rotation[track.t_s > 6.0], axis=1)).max() < 8.0
+
+
+def test_a_stalled_imu_is_said():
+    """No samples for 0.8 s while poses go on: the state held is not called good."""
+    flown = fly("T3", 17, NOISY, seconds=8.0)
+    before = [s for s in flown.imu if s.t_ns < 6_000_000_000]
+    said = []
+    estimator = Estimator(VioConfig(), CAMERA, PIXHAWK)
+    stalled = replace(flown, imu=before)
+    for what in events(stalled):
+        feed(estimator, what)
+        if what.t_ns > 6.6e9:
+            said.append(estimator.health())
+    assert said
+    assert {str(h.state) for h in said} == {"LOST"}
+    assert all("imu_stalled" in h.reasons for h in said)
+    for s in flown.imu:
+        if s.t_ns >= 6_800_000_000:
+            estimator.imu(s)
+    assert "imu_stalled" not in estimator.health().reasons
