@@ -24,7 +24,7 @@ MARKS = 0.006  # room for marks around the overlap
 FOOTER = 0.015  # room for the ruler and what a sheet says of itself
 RULER = 0.1
 _LEAST = 0.02  # of the plane on a sheet, or it is no use
-_CANDIDATE_STEP = 0.001
+_CANDIDATE_STEP, _TENTH = 1e-3, 1e-4
 _OFF_GAP = 0.3  # in tags cut: what a cut costs that is not in the middle of a gap
 
 
@@ -94,9 +94,11 @@ def named_paper(name: str) -> tuple[float, float]:
 def cut_plane(low: Array, high: Array, squares: Array, paper: Paper) -> Sheets:
     """The plane from low to high (2,) on the fewest sheets, then with the fewest tags cut.
 
-    squares (n, 2, 2): lower left and upper right of what should stay whole. Raises MapError where
-    the paper is too small to hold anything.
+    squares (n, 2, 2): lower left and upper right of what should stay whole. Cuts lie at whole
+    tenths of a mm, as they are written on the sheets. Raises MapError where the paper is too small
+    to hold anything.
     """
+    low, high = np.floor(low / _TENTH + 1e-6) * _TENTH, np.ceil(high / _TENTH - 1e-6) * _TENTH
     ways: list[tuple[int, float, float, int, Sheets]] = []
     for turn in ("portrait", "landscape") if paper.turn == "auto" else (paper.turn,):
         sheets = _cut(low, high, squares, paper, turn == "landscape")
@@ -125,8 +127,8 @@ def _cut(low: Array, high: Array, squares: Array, paper: Paper, landscape: bool)
     if room.min() < _LEAST or size[0] < RULER + 2 * paper.margin:
         return None
     cuts = (
-        cut_lines(low[0], high[0], room[0], squares[:, :, 0]),
-        cut_lines(low[1], high[1], room[1], squares[:, :, 1]),
+        _tenths(cut_lines(low[0], high[0], room[0] - _TENTH, squares[:, :, 0])),
+        _tenths(cut_lines(low[1], high[1], room[1] - _TENTH, squares[:, :, 1])),
     )
     many = (len(cuts[0]) - 1, len(cuts[1]) - 1)
     sheets = []
@@ -146,6 +148,10 @@ def _cut(low: Array, high: Array, squares: Array, paper: Paper, landscape: bool)
             Sheet(column, row, begin, begin + part, (left, bottom, right, top), paper_size, at)
         )
     return Sheets(tuple(sheets), cuts)
+
+
+def _tenths(x: Array) -> Array:
+    return np.round(x / _TENTH) * _TENTH
 
 
 def cut_lines(low: float, high: float, room: float, spans: Array) -> Array:
