@@ -125,6 +125,10 @@ def test_outlines_run_once_around_each_black_cell_and_around_no_white_one(cells)
     for row, column in np.ndindex(cells.shape):
         centre = np.array([column + 0.5, row + 0.5])
         assert winding(centre, loops) == (1 if cells[row, column] == 0 else 0)
+    padded = np.pad(cells == 0, 1)
+    edges = sum(int((np.diff(padded.astype(int), axis=axis) != 0).sum()) for axis in (0, 1))
+    length = sum(np.abs(np.roll(loop, -1, axis=0) - loop).sum() for loop in loops)
+    assert length == edges  # between black and white alone, never between two black cells
     for loop in loops:  # corners alone: no two edges in one direction, all of them upright or level
         step = np.roll(loop, -1, axis=0) - loop
         assert (np.count_nonzero(step, axis=1) == 1).all()

@@ -12,6 +12,7 @@ import pytest
 from scans import crop_corner, detect, image_objects, line_at, mosaic, pages
 
 from tagvo import geometry as geo
+from tagvo.bitmaps import tag_bitmap
 from tagvo.errors import MapError
 from tagvo.mapdesign import MapWish, lay_out, plan_map
 from tagvo.mapprint import draw_print, plan_print
@@ -160,32 +161,25 @@ def test_neighbours_share_their_overlap(floor, tmp_path):
     assert edges.mean() < 0.01  # pixels that an edge runs through
 
 
-def test_black_areas_have_no_hairlines(floor, tmp_path):
-    """Within cells of one colour no pixel has another, at resolutions that cut cells anywhere."""
-    one = floor.only(floor.tag_id[[-1]])
+def test_black_cells_are_joined_without_a_hairline(tmp_path):
+    """A turned tag, whose cells' edges run through pixels: between black cells all stays black."""
+    q = [float(np.cos(0.2)), 0.0, 0.0, float(np.sin(0.2))]
+    tags = [{"id": 137, "size": 0.0575, "p": [0.0, 0.0, 0.0], "q": q}]
+    one = map_from_dict({"family": "tagStandard41h12", "tags": tags}, "one")
     printed(one, tmp_path / "p.pdf", paper("A4"), index=False, numbers=False)
-    for dpi in (61, 97, 150):
+    black = tag_bitmap(one.family, 137) == 0
+    for dpi in (70, 97, 150):
         (page,) = pages(tmp_path / "p.pdf", dpi)
         _, px = detect(page.image)
-        cell = np.linalg.norm(px[0, 1] - px[0, 0]) / 5
-        centre = px[0].mean(axis=0)
-        low, high = (centre - 4.5 * cell).astype(int), (centre + 4.5 * cell).astype(int)
-        tag = page.image[low[1] : high[1], low[0] : high[0]]
-        grey = (tag > 8) & (tag < 247)
-        inside = np.ones_like(grey)
-        for axis in (0, 1):  # pixels that a line between cells runs through may be grey
-            at = (np.arange(tag.shape[axis]) + low[1 - axis] - centre[1 - axis]) / cell + 4.5
-            near = np.abs(at - np.round(at)) * cell < 1.01
-            inside &= ~(near[:, None] if axis == 0 else near[None])
-        assert inside.mean() > 0.3
-        assert not (grey & inside).any()
-        black = tag < 128
-        around = [np.roll(black, (3 * i, 3 * j), (0, 1)) for i in (-1, 0, 1) for j in (-1, 0, 1)]
-        between = (~inside & np.all(around, axis=0))[5:-5, 5:-5]
-        assert between.sum() > 100
-        assert (
-            tag[5:-5, 5:-5][between] < 8
-        ).all()  # black on all sides of a line between cells: no seam
+        right, down = (px[0, 1] - px[0, 0]) / 5, (px[0, 3] - px[0, 0]) / 5  # a cell
+        first = px[0, 0] - 2 * (right + down)  # of the print, two cells out from the border
+        seams = [(c + 1.0, r + t) for r, c in np.argwhere(black[:, :-1] & black[:, 1:])
+                 for t in np.linspace(0.3, 0.7, 9)]  # fmt: skip
+        seams += [(c + t, r + 1.0) for r, c in np.argwhere(black[:-1] & black[1:])
+                  for t in np.linspace(0.3, 0.7, 9)]  # fmt: skip
+        at = np.rint(first + np.array(seams) @ np.stack([right, down])).astype(int)
+        assert len(at) > 300
+        assert page.image[at[:, 1], at[:, 0]].max() < 8
 
 
 def test_a_page_holds_no_raster_image(floor, tmp_path):
