@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.families import FAMILIES
-from tagvo.geometry import IntArray
+from tagvo.families import FAMILIES, Family
+from tagvo.geometry import Array, IntArray
+from tagvo.maptile import mirrored_within
 from tagvo.tagmap import TagMap, map_from_dict, map_to_yaml
 from tagvo.textfile import write_atomic
 
@@ -44,10 +45,7 @@ def tile_layout() -> IntArray:
 
 def mirrored(layout: IntArray, along_x: bool, along_y: bool) -> IntArray:
     """The tile's places mirrored along its axes (both: turned by 180 degrees); (n, 3)."""
-    x, y, side = layout.T
-    return np.column_stack(
-        [_TILE[0] - side - x if along_x else x, _TILE[1] - side - y if along_y else y, side]
-    )
+    return mirrored_within(layout, _TILE, along_x, along_y)
 
 
 def arena_layout() -> IntArray:
@@ -71,19 +69,35 @@ def arena_map(rng: np.random.Generator) -> TagMap:
     layout = arena_layout()
     margin = (np.array(ARENA_SIZE) - unit * np.array(_TILE) * _REPEATS) / 2
     centre = margin + unit * (layout[:, :2] + layout[:, 2:] / 2)
-    yaw = np.pi / 2 * rng.integers(4, size=len(layout))
+    return floor_map(_FAMILY, np.asarray(_SMALLEST * layout[:, 2]), centre, rng, "arena")
+
+
+def floor_map(
+    family: Family,
+    border: Array,
+    centre: Array,
+    rng: np.random.Generator,
+    where: str,
+    first_id: int = 0,
+) -> TagMap:
+    """A level floor of tags that face up, z = 0, each turned by `rng` by a multiple of 90 degrees.
+
+    border (n,) border sides [m]; centre (n, 2) in W [m]; ids in that order from `first_id` on;
+    laying sigmas are the defaults, gravity is -z. `where` names the map in errors.
+    """
+    yaw = np.pi / 2 * rng.integers(4, size=len(border))
     q_WT = geo.quat_from_matrix(geo.matrix_from_rpy(0.0, 0.0, yaw))
     tags: list[dict[str, Any]] = [
         {
-            "id": i,
-            "size": round(_SMALLEST * int(layout[i, 2]), 9),
+            "id": first_id + i,
+            "size": round(float(border[i]), 9),
             "p": [*np.round(centre[i], 9).tolist(), 0.0],
             "q": q_WT[i].tolist(),
         }
-        for i in range(len(layout))
+        for i in range(len(border))
     ]
     gravity = {"dir": [0, 0, -1], "sigma_deg": 1}
-    return map_from_dict({"family": _FAMILY.name, "gravity": gravity, "tags": tags}, "arena")
+    return map_from_dict({"family": family.name, "gravity": gravity, "tags": tags}, where)
 
 
 def arena_yaml(seed: int = ARENA_SEED) -> str:

@@ -100,13 +100,14 @@ def is_number(value: object) -> TypeGuard[int | float]:
     return abs(value) <= _LARGEST  # False for NaN, too
 
 
-def write_atomic(path: Path, text: str) -> None:
-    """Write a text file whole or not at all: a power cut leaves the old file or the new one."""
+def write_atomic(path: Path, content: str | bytes) -> None:
+    """Write a file whole or not at all: a power cut leaves the old file or the new one."""
+    data = content.encode() if isinstance(content, str) else content
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(text)
+        with temporary.open("wb") as file:
+            file.write(data)
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)

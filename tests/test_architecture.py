@@ -29,7 +29,8 @@ TAGVO = (
     {"config", "decide"},
     {"pipeline"},
     {"mapgen", "mapprint", "mapsurvey", "mapoverlap", "mapview", "mapcheck", "mapdraw",
-     "mapformats", "mapshow", "render", "calibrate"},
+     "mapformats", "mapshow", "maptile", "mapviews", "mapsearch", "mapdesign", "render",
+     "calibrate"},
 )  # fmt: skip
 STAGES = TAGVO[6]
 VIO = (

@@ -61,7 +61,8 @@ def test_commands_run_one_after_the_other(clone):
         out = run([*words, "--quick"] if words[0] == "demo" else words, clone)
         if words[:2] == ["map", "check"]:
             assert out in README, "README shows another output of `map check`"
-    for made in ("demo/joint/report.html", "out/vo.tum", "out/comparison.json", "map.png"):
+    files = ("demo/joint/report.html", "out/vo.tum", "out/comparison.json", "map.png", "hall.pdf")
+    for made in files:
         assert (clone / made).stat().st_size > 0, made
 
 

@@ -1,4 +1,4 @@
-"""`tagvio map`: check, show and convert the files that say which tag lies where."""
+"""`tagvio map`: design, print, check, show and convert the files that say which tag lies where."""
 
 from contextlib import suppress
 from enum import StrEnum
@@ -7,14 +7,26 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from vio.commands import map_new, map_print, map_views
+
 if TYPE_CHECKING:
     from tagvo.tagmap import TagMap
 
 app = typer.Typer(
     name="map",
-    help="Look after tag maps: check them, draw them, convert other people's.",
+    help="Look after tag maps: design, print, check and draw them, convert other people's.",
     no_args_is_help=True,
 )
+app.command("new", epilog="Example: tagvio map new hall.yaml --size 4,6 --heights 0.5,3")(
+    map_new.command
+)
+app.command(
+    "print",
+    epilog="Examples: tagvio map print hall.yaml hall.pdf --paper A0"
+    " · tagvio map print hall.yaml hall.pdf --roll 914"
+    " · tagvio map print hall.yaml tags.pdf --each --only-tags 3,17",
+)(map_print.command)
+app.command("views", epilog="Example: tagvio map views configs/maps/arena.yaml")(map_views.command)
 
 
 class MapFormat(StrEnum):

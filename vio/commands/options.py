@@ -76,7 +76,7 @@ def open_all(choice: Choice) -> "tuple[FlightLog, Config]":
     from vio.config import load_config
     from vio.sources.log import FlightLog
 
-    ids, blackout = _ids(choice.only_tags), _pair(choice.blackout)
+    ids, blackout = ids_of(choice.only_tags), _pair(choice.blackout)
     make_folder(choice.out)
     log = FlightLog.open(
         choice.log,
@@ -104,7 +104,8 @@ def make_folder(path: Path) -> None:
         ) from None
 
 
-def _ids(text: str | None) -> list[int] | None:
+def ids_of(text: str | None) -> list[int] | None:
+    """Tag ids with commas between them; else wrong usage."""
     if text is None:
         return None
     try:
