@@ -1,16 +1,16 @@
 """Another computer's clock in ours, by round trips: what its stamps mean on this side.
 
-A small Kalman filter over offset and drift: a round trip tells the offset to half of what it took
-longer than the shortest of late, so the shortest ones lead. A clock that runs 0.4 % slow and jerks
-by milliseconds is followed; answers that disagree with it are believed once four agree among
-themselves; one that lies in the past says that the other side has started again.
+A small Kalman filter over offset and drift: a round trip counts the less the longer it took than
+the shortest of late. A clock that runs 0.4 % slow and jerks by milliseconds is followed; answers
+that disagree with it are believed once four agree among themselves; one that lies in the past says
+that the other side has started again.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-_WALK = 2e6  # [ns/sqrt(s)] how the offset wanders
+_WALK = 1e6  # [ns/sqrt(s)] how the offset wanders
 _DRIFT = 5e-3  # of the rate, at the start
 _DRIFT_WALK = 2e-4  # [1/sqrt(s)]
 _FLOOR = 3e5  # [ns] sigma of the shortest round trips
@@ -74,7 +74,7 @@ def to_theirs(track: ClockTrack, our_ns: int) -> int:
 
 
 def _begin(e: Exchange, rtts_ns: tuple[int, ...], rate: float, epoch: int) -> ClockTrack:
-    spread = (_FLOOR + 0.5 * (e.rtt_ns - min(rtts_ns))) ** 2
+    spread = (_FLOOR + (e.rtt_ns - min(rtts_ns))) ** 2
     return ClockTrack(e.their_ns, e.offset_ns, rate, (spread, 0.0, _DRIFT**2), rtts_ns, (), epoch)
 
 
@@ -92,7 +92,7 @@ def learn(track: ClockTrack | None, e: Exchange) -> ClockTrack | None:
     a += 2e9 * dt * b + (1e9 * dt) ** 2 * c + _WALK**2 * dt
     b += 1e9 * dt * c
     c += _DRIFT_WALK**2 * dt
-    noise = (_FLOOR + 0.5 * (e.rtt_ns - min(rtts))) ** 2
+    noise = (_FLOOR + (e.rtt_ns - min(rtts))) ** 2
     expected = track.offset_ns + round(track.rate * (e.their_ns - track.their_ns))
     misfit = e.offset_ns - expected
     if abs(misfit) > max(_GATE, 5.0 * np.sqrt(a + noise)):

@@ -148,9 +148,9 @@ class Estimator:
         return nav_state(w.now_ns, w.X[w.last], w.P[w.last])
 
     def moment(self, t_ns: int | None = None) -> Moment | None:
-        """The filter at a stamp of the camera's clock (None: now), as a vehicle is told of it.
+        """The filter at a stamp of the camera's clock, None: at its newest sample, for a vehicle.
 
-        None before the start, and for a stamp that is older than the filter's memory.
+        None before the start, for a stamp beyond its memory, and 50 ms ahead of the IMU.
         """
         return moment(self._window, t_ns) if self._started else None
 

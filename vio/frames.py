@@ -113,7 +113,7 @@ def to_ned(nav: NavState, alignment: Alignment, w_I: Array | None = None) -> Ned
     R_NW, R_IB = alignment.R_NW, alignment.R_BI.T
     p_IB = -R_IB @ alignment.p_BI
     R_WB = nav.R_WI @ R_IB
-    v_I = np.zeros(3) if w_I is None else np.cross(w_I, p_IB)
+    v_I = np.zeros(3) if w_I is None else geo.hat(w_I) @ p_IB
     known = nav.v_WI is not None and (w_I is not None or not p_IB.any())
     return NedPose(
         R_NW @ (nav.p_WI + nav.R_WI @ p_IB),

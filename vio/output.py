@@ -13,6 +13,7 @@ from vio.window import Window
 
 _ORDER = np.r_[at.P : at.P + 3, at.TH : at.TH + 3, at.V : at.V + 3]
 _PICK = np.ix_(_ORDER, _ORDER)
+_AHEAD_NS = 50_000_000  # how far a state is predicted beyond the newest sample
 _NOISES = np.setdiff1d(np.arange(at.NOISE), [at.N_GRAVITY, at.N_BIAS_RATE])
 
 
@@ -25,13 +26,15 @@ def nav_state(t_ns: int, x: Array, P: Array) -> NavState:
 
 
 def moment(window: Window, t_ns: int | None) -> Moment | None:
-    """The filter at a stamp of the camera's clock, None: now; None where its memory has no more.
+    """The filter at a stamp of the camera's clock, None: at its newest sample.
+
+    None where its memory does not reach back so far, or the IMU has not come near the stamp.
 
     From the first snapshot at or after the stamp, back: only that one holds a frame of this stamp.
     """
     td_ns = round(window.X[window.last, at.X_TD] * 1e9)
     due = window.now_ns if t_ns is None else t_ns + td_ns
-    if due < window.t[0]:
+    if not window.t[0] <= due <= window.now_ns + _AHEAD_NS:
         return None
     k = min(window.at_or_before(due - 1) + 1, window.last)
     x, P = window.X[k].copy(), window.P[k].copy()

@@ -100,9 +100,10 @@ class Bridge:
             )
         return vehicle.name
 
-    def hungry(self) -> bool:
-        """Whether a state of now is wanted: asked before one is made."""
-        return self.companion.hungry(now_ns())
+    def wanted(self) -> int | None:
+        """The stamp for which a state is wanted now, besides those at captures; None: for none."""
+        with self._brain:
+            return self.companion.wanted(now_ns())
 
     def offer(self, moment: Moment | None, health: Health, captured: bool) -> None:
         """Send a state of the filter, if it is time for it; None: there is none yet."""
@@ -111,10 +112,12 @@ class Bridge:
             if moment is None:
                 self.companion.note(health, now)
                 return
+            due_ns = self.companion.due_ns
             out = self.companion.offer(moment, health, captured, now)
+            sooner = self.companion.due_ns < due_ns
             unsaved = self.companion.resets.unsaved
         self._send(out)
-        if unsaved:
+        if unsaved or sooner:
             self._wake()
 
     def stop(self, say: str = "stopped") -> None:

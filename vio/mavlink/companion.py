@@ -5,7 +5,7 @@ clock of this computer, in which poses are stamped, TIMESYNC is answered and IMU
 """
 
 import logging
-from collections import Counter
+from collections import Counter, deque
 from typing import Any
 
 import numpy as np
@@ -62,13 +62,14 @@ class Companion:
         self.imu = _stream(config.imu.message, message_ids, config.imu.rate_hz)
         self._attitude = _stream("ATTITUDE", message_ids, _ATTITUDE_HZ)
         self._R_BI, self._p_BI = R_BI, p_BI
-        self._asker, self._speaker = Asker(), Speaker()
+        self.asker, self._speaker = Asker(), Speaker()
         self._health: Health | None = None
         self._offered_ns = self._heartbeat_ns = self._asked_ns = _NEVER
         self._uptime_ns: dict[str, int] = {}  # of the autopilot, as each of its clocks tells it
         self._restarted_ns = _NEVER
         self._waits_for: StreamRequest | None = None  # whose question is not answered yet
         self._waits_since = _NEVER
+        self._waiting: deque[tuple[int, list[Outgoing]]] = deque()  # poses, and when they may leave
         self._withheld = False
 
     # what is heard
@@ -100,7 +101,7 @@ class Companion:
         if message.tc1 == 0:
             self.counters["timesync_answered"] += 1
             return [fields.timesync(message.ts1, now_ns)]
-        exchange = self._asker.answered(message.ts1, message.tc1, now_ns)
+        exchange = self.asker.answered(message.ts1, message.tc1, now_ns)
         if exchange is None:
             self.counters["timesync_of_others"] += 1
             return []
@@ -140,7 +141,8 @@ class Companion:
     @property
     def due_ns(self) -> int:
         """When `due` wants to be called next."""
-        return min(self._heartbeat_ns + _SECOND, self._asked_ns + self._ask_every)
+        due_ns = min(self._heartbeat_ns + _SECOND, self._asked_ns + self._ask_every)
+        return min(due_ns, self._waiting[0][0]) if self._waiting else due_ns
 
     @property
     def _ask_every(self) -> int:
@@ -149,6 +151,8 @@ class Companion:
     def due(self, now_ns: int) -> list[Outgoing]:
         """All that time itself asks for."""
         out: list[Outgoing] = []
+        while self._waiting and self._waiting[0][0] <= now_ns:
+            out += self._waiting.popleft()[1]
         if now_ns - self._heartbeat_ns >= _SECOND:
             self._heartbeat_ns = now_ns
             out.append(fields.heartbeat(self._status(now_ns)))
@@ -157,7 +161,7 @@ class Companion:
         if not self.vehicle.alive(now_ns):
             return out
         if asks:
-            out.append(fields.timesync(self._asker.ask(now_ns), 0))
+            out.append(fields.timesync(self.asker.ask(now_ns), 0))
         out += self.origin.due(self.vehicle, now_ns)
         out += self._stream_questions(now_ns)
         return out + self._speaker.due(now_ns)
@@ -183,9 +187,18 @@ class Companion:
 
     # what the filter says
 
-    def hungry(self, now_ns: int) -> bool:
-        """Whether a state of now is wanted at all: asked before one is made."""
-        return self.policy.hungry(now_ns)
+    def wanted(self, now_ns: int) -> int | None:
+        """The stamp for which a state is wanted now, besides those at captures; None: for none.
+
+        One that fills in for captures is as old as they are when they leave: ArduPilot takes the
+        least age that it meets for zero, and a fresh one would shift all others.
+        """
+        if not self.policy.hungry(now_ns):
+            return None
+        if not self.policy.rules.at_capture:
+            return now_ns
+        least_ns = self.ages.least_ns
+        return None if least_ns is None else now_ns - least_ns
 
     def note(self, health: Health, now_ns: int) -> None:
         """Take the filter's word on itself where there is no state to offer."""
@@ -193,7 +206,7 @@ class Companion:
         self._speaker.health(health)
 
     def offer(self, moment: Moment, health: Health, captured: bool, now_ns: int) -> list[Outgoing]:
-        """Take a state of the filter, at the capture of a frame or at the newest IMU sample."""
+        """Take a state of the filter: at the capture of a frame, or one that was `wanted`."""
         self.note(health, now_ns)
         if self.resets.look(moment, health.state, health.resets):
             self.heading.relevelled()
@@ -205,6 +218,7 @@ class Companion:
         why = self._why_held(pose, now_ns)
         if why:
             self.counters[f"held_{why}"] += 1
+        leaves_ns = self.policy.leaves_at(now_ns)
         verdict = self.policy.decide(moment.t_ns, captured, health.state, now_ns, bool(why))
         if verdict is Verdict.COASTED and not self._withheld:
             self._withheld = True
@@ -213,8 +227,12 @@ class Companion:
             return []
         self._withheld = False
         if captured:
-            self.ages.add(now_ns - moment.t_ns)
-        return self._messages(moment.t_ns, pose, health)
+            self.ages.add(leaves_ns - moment.t_ns)
+        out = self._messages(moment.t_ns, pose, health)
+        if leaves_ns <= now_ns:
+            return out
+        self._waiting.append((leaves_ns, out))
+        return []
 
     def _in_ned(self, moment: Moment) -> NedPose | None:
         levelling, heading = self.resets.levelling, self.heading.rad

@@ -29,6 +29,11 @@ class AgeMeter:
         """One more pose has left."""
         self._ns.append(age_ns)
 
+    @property
+    def least_ns(self) -> int | None:
+        """The least age, None before the first pose."""
+        return min(self._ns, default=None)
+
     def ages(self) -> Ages | None:
         """The figures, None before the first pose."""
         if not self._ns:

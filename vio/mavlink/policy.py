@@ -19,13 +19,13 @@ class Verdict(StrEnum):
     STALE = "too_old"
     FUTURE = "in_the_future"
     RATE = "over_rate"
-    SPARE = "spare"  # a state of now where those of captures come often enough
+    SPARE = "spare"  # one between captures where those come often enough
 
 
 @dataclass(frozen=True, slots=True)
 class Rules:
     """rate_hz: of the messages; max_age_ns: no older one leaves; coast_ns: how long without tags;
-    at_capture: states at captures are preferred, one of now only fills in where they stay away."""
+    at_capture: states at captures are preferred, others only fill in where they stay away."""
 
     rate_hz: float = 30.0
     max_age_ns: int = 200_000_000
@@ -34,12 +34,13 @@ class Rules:
 
     @property
     def fill_ns(self) -> int:
-        """After so long a silence a state of now is sent in place of one at a capture."""
+        """After so long a silence another state is sent in place of one at a capture."""
         return round(2.4e9 / self.rate_hz)
 
 
 _AHEAD_NS = 50_000_000  # a stamp further ahead of now is wrong
-_APART_NS = 21_000_000  # ArduPilot drops what comes within 20 ms
+_APART_NS = 23_000_000  # ArduPilot drops what comes within 20 ms; wires jitter
+_WAITS_NS = 12_000_000  # one that comes close after another waits so long at most
 _ENOUGH = 0.75  # credit that a message needs: a frame rate that jitters about the rate passes whole
 
 
@@ -50,7 +51,7 @@ class SendPolicy:
         self.rules = rules
         self.counters: Counter[str] = Counter()
         self._sent_t: int | None = None  # validity of the last one sent
-        self._sent_at: int | None = None  # when it was sent, or the first was offered
+        self._sent_at: int | None = None  # when it was sent, or will be
         self._credit = 1.0
         self._coasts_since: int | None = None
 
@@ -68,27 +69,30 @@ class SendPolicy:
         self.counters[verdict.value] += 1
         return verdict
 
+    def leaves_at(self, now_ns: int) -> int:
+        """When the next one may leave: 23 ms after the one before; asked before `decide`."""
+        return now_ns if self._sent_at is None else max(now_ns, self._sent_at + _APART_NS)
+
     def hungry(self, now_ns: int) -> bool:
-        """Whether a state of now might be sent: asked before one is made."""
-        if not self.rules.at_capture or self._sent_at is None:
-            return True
-        return now_ns - self._sent_at >= self.rules.fill_ns
+        """Whether a state that is not at a capture might be sent: asked before one is made."""
+        if not self.rules.at_capture:
+            return self._credit_at(now_ns) >= _ENOUGH
+        return self._sent_at is not None and now_ns - self._sent_at >= self.rules.fill_ns
 
     def _verdict(self, t_ns: int, captured: bool, now_ns: int) -> Verdict:
-        if self._sent_at is None:
-            self._sent_at = now_ns - _APART_NS
         if self._sent_t is not None and t_ns <= self._sent_t:
             return Verdict.REPEAT
-        if now_ns - t_ns > self.rules.max_age_ns:
+        leaves = self.leaves_at(now_ns)
+        if leaves - t_ns > self.rules.max_age_ns:
             return Verdict.STALE
         if t_ns - now_ns > _AHEAD_NS:
             return Verdict.FUTURE
         if captured != self.rules.at_capture and (captured or not self.hungry(now_ns)):
             return Verdict.SPARE
-        if now_ns - self._sent_at < _APART_NS or self._credit_at(t_ns) < _ENOUGH:
+        if leaves - now_ns > _WAITS_NS or self._credit_at(t_ns) < _ENOUGH:
             return Verdict.RATE
         self._credit = self._credit_at(t_ns) - 1.0
-        self._sent_t, self._sent_at = t_ns, now_ns
+        self._sent_t, self._sent_at = t_ns, leaves
         return Verdict.SEND
 
     def _halted(self, t_ns: int, state: State) -> Verdict | None:
