@@ -135,7 +135,8 @@ def _in_ned(cov: Array, R_NW: Array, R_WI: Array, p_IB: Array, v_I: Array, with_
     if n == 9:
         J[6:, 6:] = R_NW
         J[6:, 3:6] = -R_NI @ geo.hat(v_I)
-    return np.asarray(J @ cov[:n, :n] @ J.T)
+    with np.errstate(invalid="ignore", over="ignore"):  # not finite: `triangle` says so
+        return np.asarray(J @ cov[:n, :n] @ J.T)
 
 
 def euler_321(R_NF: Array) -> Array:

@@ -208,6 +208,9 @@ class Companion:
     def offer(self, moment: Moment, health: Health, captured: bool, now_ns: int) -> list[Outgoing]:
         """Take a state of the filter: at the capture of a frame, or one that was `wanted`."""
         self.note(health, now_ns)
+        if not _finite(moment):
+            self.counters["held_not_finite"] += 1
+            return []
         if self.resets.look(moment, health.state, health.resets):
             self.heading.relevelled()
             LOG.info("the pose has jumped (%s): reset counter %d",
@@ -249,8 +252,6 @@ class Companion:
             return "no_origin"
         if pose is None:
             return "no_heading"
-        if not (np.isfinite(pose.p_NB).all() and np.isfinite(pose.R_NF).all()):
-            return "not_finite"
         return "unsaved_reset" if self.resets.unsaved else ""
 
     def _messages(self, t_ns: int, pose: NedPose, health: Health) -> list[Outgoing]:
@@ -272,6 +273,14 @@ class Companion:
         one_way = 0.0 if self.clock is None else 0.5e-6 * min(self.clock.rtts_ns)
         synced = self.counters["timesync_answered"] > 0
         return delay_advice(ages, one_way, self.vehicle.autopilot, synced)
+
+
+def _finite(moment: Moment) -> bool:
+    """Whether all is that a pose is made of; its covariance may be what it is."""
+    nav = moment.nav
+    parts = [nav.p_WI, nav.R_WI, moment.w_I, moment.down_W]
+    parts += [] if nav.v_WI is None else [nav.v_WI]
+    return all(np.isfinite(part).all() for part in parts)
 
 
 def _rules(config: MavlinkConfig) -> Rules:

@@ -26,7 +26,7 @@ class StreamRequest:
         self._refused = False
         self._tries = 0
         self._arrivals: deque[int] = deque()
-        self._said = ""
+        self._said: set[str] = set()
 
     def rate_hz(self, now_ns: int) -> float:
         """Messages a second over the last two seconds."""
@@ -82,6 +82,6 @@ class StreamRequest:
 
     def _say(self, text: str) -> None:
         kind = "".join(c for c in text if not c.isdigit())
-        if kind != self._said:
+        if kind not in self._said:
             LOG.warning("%s", text)
-        self._said = kind
+        self._said.add(kind)
