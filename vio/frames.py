@@ -15,6 +15,7 @@ from vio.records import NavState
 
 FLIP = np.array([1.0, -1.0, -1.0])  # FLU to FRD and back
 RELEVEL_RAD = float(np.radians(0.5))
+_CERTAIN = 4.0  # sigmas
 _STANDS = 0.9  # an axis with more than this share along gravity is vertical
 _FLOAT32 = 3.4e38
 
@@ -57,13 +58,15 @@ def tilt(levelling: Levelling, down_W: Array) -> float:
 
 
 def relevelled(
-    levelling: Levelling, down_W: Array, limit_rad: float = RELEVEL_RAD
+    levelling: Levelling, down_W: Array, sigma_rad: float = 0.0
 ) -> tuple[Levelling, bool]:
-    """The levelling to go on with, and whether it is another one: only beyond `limit_rad`.
+    """The levelling to go on with, and whether it is another one.
 
-    The heading's axis stays, unless it has come to stand.
+    Only where gravity's direction has moved by more than half a degree, and by more than four times
+    its sigma: while it is still being learnt, each new levelling would only bring the next. The
+    heading's axis stays, unless it has come to stand.
     """
-    if tilt(levelling, down_W) <= limit_rad:
+    if tilt(levelling, down_W) <= max(RELEVEL_RAD, _CERTAIN * sigma_rad):
         return levelling, False
     stands = abs(down_W[levelling.axis]) > 0.99 * np.linalg.norm(down_W)
     return levelled(down_W, None if stands else levelling.axis), True

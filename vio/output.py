@@ -46,7 +46,8 @@ def moment(window: Window, t_ns: int | None) -> Moment | None:
         propagate(x, P, window.imu[k], dt, q)
     up_W = geo.matrix_from_quat(x[at.X_QWG : at.X_QWG + 4])[:, 2]
     w_I = window.imu[k, 0:3] - x[at.X_BG : at.X_BG + 3]
-    return Moment(due - td_ns, nav_state(due, x, P), w_I, -up_W)
+    sigma = float(np.sqrt(np.diag(P)[at.GR : at.GR + 2].max()))
+    return Moment(due - td_ns, nav_state(due, x, P), w_I, -up_W, sigma)
 
 
 def camera_prior(window: Window, t_ns: int) -> PosePrior | None:

@@ -106,10 +106,11 @@ class Moment:
     """The filter at one moment, with all that a vehicle is told.
 
     t_ns: the moment in the camera's clock (nav.t_ns is in the IMU's); w_I (3,) angular rate without
-    its bias [rad/s]; down_W (3,) gravity's direction in W, unit.
+    its bias [rad/s]; down_W (3,) gravity's direction in W, unit; down_sigma [rad] of that.
     """
 
     t_ns: int
     nav: NavState
     w_I: Array
     down_W: Array
+    down_sigma: float = 0.0

@@ -1,4 +1,4 @@
-"""An in-test ArduCopter: jitter correction, gates, resets, origin, arming as EKF3 was seen to do."""
+"""An in-test ArduCopter: jitter correction, gates, resets, origin, arming as EKF3 was seen."""
 
 import numpy as np
 from fc_autopilot import Autopilot

@@ -112,7 +112,7 @@ class Autopilot:
         return True
 
     def imu(self):
-        """Gyro and specific force in body FRD of a vehicle that keeps level, with a little noise."""
+        """Gyro and specific force in body FRD of a vehicle that keeps level, a little noisy."""
         noise = self.rng.normal(size=6) * [1e-3, 1e-3, 1e-3, 0.02, 0.02, 0.02]
         return noise[:3], np.array([0.1, -0.2, -9.81]) + noise[3:]
 

@@ -1,4 +1,4 @@
-"""Simulated time between a Companion and an in-test autopilot: wires, cameras, no clock, no sleep."""
+"""Simulated time between a Companion and an in-test autopilot: wires, cameras, no clock."""
 
 import heapq
 import itertools

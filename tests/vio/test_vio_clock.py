@@ -1,4 +1,4 @@
-"""The other computer's clock: drift, jitter, queues, steps, restarts, outages, and slewed stamps."""
+"""The other computer's clock: drift, jitter, queues, steps, restarts, outages, slewed stamps."""
 
 import numpy as np
 import pytest

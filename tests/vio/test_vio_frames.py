@@ -64,7 +64,7 @@ def test_golden_tilts(heading, turn_deg, rpy):
     """Left side up rolls right, +; a turn about left lowers the nose, -; a left turn is yaw -."""
     R = geo.exp(np.radians(np.array(turn_deg, float)))
     got = np.degrees(euler_321(to_ned(nav(R=R), aligned(heading)).R_NF))
-    expected = np.array(rpy, float) + [0, 0, heading]
+    expected = np.array([rpy[0], rpy[1], rpy[2] + heading], float)
     expected[2] = 180 - (180 - expected[2]) % 360
     assert_allclose(got, expected, atol=1e-9)
 
@@ -201,6 +201,12 @@ def test_levelling_stays_until_gravity_has_moved_half_a_degree():
     assert moved
     assert tilt(after, large) < 1e-9
     assert np.degrees(tilt(before, large)) == pytest.approx(0.51, abs=1e-6)
+
+
+def test_levelling_waits_for_a_gravity_that_is_still_being_learnt():
+    before, down = levelled(UP), Rotation.from_euler("x", 2.0, degrees=True).apply(UP)
+    assert relevelled(before, down, np.radians(0.6))[0] is before
+    assert relevelled(before, down, np.radians(0.4))[1]
 
 
 def test_levelling_anew_keeps_the_axis_that_bears_the_heading():

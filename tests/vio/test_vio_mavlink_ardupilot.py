@@ -20,7 +20,8 @@ VISION = "VISION_POSITION_ESTIMATE"
 
 
 def world(seed=0, yaw_deg=0.0, heading_deg=0.0, latency_ms=(60.0, 60.0), config=None,
-          sabotage=None, shift=None, say=None, rate_hz=30.0, delay_ms=None, last_s=1e9):  # fmt: skip
+          sabotage=None, shift=None, say=None, rate_hz=30.0, delay_ms=None,
+          last_s=1e9):  # fmt: skip
     rng = np.random.default_rng(seed)
     vehicle = Vehicle(np.radians(yaw_deg))
     copter = ArduPilot(vehicle, rng)
@@ -313,9 +314,8 @@ def test_coasting_is_sent_with_its_growing_covariance():
 
     def growing(t):
         coasting = max(0.0, t * 1e-9 - 3.0)
-        make = moments(copter.vehicle, rng, sigma=0.05 + coasting,
-                       say=lambda t: health(State.COASTING if t > 3 * S else State.TRACKING))  # fmt: skip
-        return make(t)
+        word = health(State.COASTING if coasting else State.TRACKING)
+        return moments(copter.vehicle, rng, sigma=0.05 + coasting, say=lambda t: word)(t)
 
     w.see(growing)
     w.run(4.0)

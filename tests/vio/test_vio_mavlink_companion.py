@@ -199,7 +199,7 @@ def test_changes_of_state_are_said_once_and_at_most_one_a_second():
     assert np.diff(times).min() >= 0.99 * S
     assert len(times) <= 8
     assert words(w)[-1] == "tagvio: tracking"
-    assert words(w)[0] in ("tagvio: tracking", "tagvio: waiting for tags and IMU")
+    assert words(w)[0] == "tagvio connected to ArduPilot"
 
 
 # resets
@@ -272,6 +272,24 @@ def test_without_an_echo_poses_go_after_five_seconds(caplog):
     assert w.poses()[0][0] == pytest.approx(5.1 * S, abs=0.3 * S)
     assert len(w.fc.heard["SET_GPS_GLOBAL_ORIGIN"]) >= 7
     assert any("refuses to arm" in r.message for r in caplog.records)
+
+
+@pytest.mark.parametrize("kind", [ArduPilot, Px4])
+def test_a_companion_that_starts_again_in_flight_moves_no_origin(kind):
+    w = world(kind)
+    w.run(3.0)
+    assert w.fc.arm(w.t) is True
+    w.run(5.0)
+    before, count = w.fc.origin_ns, len(w.fc.heard["SET_GPS_GLOBAL_ORIGIN"])
+    w.companion = Companion(w.config, np.eye(3), np.zeros(3), 8, MESSAGE_IDS)
+    w.due_t = 1 << 62
+    w._wake()
+    w.run(8.0)
+    assert w.fc.origin_ns == before
+    assert len(w.fc.heard["SET_GPS_GLOBAL_ORIGIN"]) == count
+    assert w.companion.origin.confirmed
+    assert w.fc.fused[-1][0] > 7.9 * S
+    assert [c for _, c in w.fc.resets] == [7, 8], "and its restart is a reset"
 
 
 # heading from the autopilot

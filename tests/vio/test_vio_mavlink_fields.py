@@ -1,4 +1,4 @@
-"""What is in the messages: through real frames and pymavlink's own decoder, beside its own enums."""
+"""What is in the messages: through real frames and pymavlink's own decoder, by its enums."""
 
 import numpy as np
 import pytest

@@ -172,7 +172,7 @@ def test_intervals_stay_within_what_it_takes(camera_hz):
     w.run(5.0)
     times = np.array([t for t, _ in w.fc.heard[VISION]])
     gaps = np.diff(times) / MS
-    assert 20.0 < gaps.min()
+    assert gaps.min() > 20.0
     assert gaps.max() < 200.0
     assert w.fc.arm(w.t) is True
     assert not {"interval", "too fast"} & {why for _, why in w.fc.rejected}

@@ -120,14 +120,13 @@ class Bridge:
         if unsaved or sooner:
             self._wake()
 
-    def stop(self, say: str = "stopped") -> None:
+    def stop(self) -> None:
         """End the thread and give the link back; within a second."""
         if self._stop.is_set():
             return
         if self._thread.is_alive():
             with self._brain:
-                self.companion.say(say)
-                farewell = self.companion.due(now_ns())
+                farewell = self.companion.farewell()
             self._send(farewell)
         self._stop.set()
         self._wake()
@@ -200,7 +199,7 @@ class Bridge:
 
     def _met(self, message: Any, peer: Peer, system: int | None, transport: Transport) -> None:
         """A heartbeat: answer to where the autopilot's come from, and tell who waits for it."""
-        if system is None or message.get_srcSystem() == system:
+        if system is None or self.companion.vehicle.is_mine(message):
             transport.adopt(peer)
         with self._ready:
             self._ready.notify_all()

@@ -77,8 +77,8 @@ class Companion:
     def heard(self, message: Any, now_ns: int) -> list[Outgoing]:
         """Take a decoded message that arrived at now_ns."""
         name = message.get_type()
-        if name == "HEARTBEAT":
-            self.vehicle.heartbeat(message, now_ns)
+        if name == "HEARTBEAT" and self.vehicle.heartbeat(message, now_ns):
+            self._speaker.say(f"connected to {self.vehicle.name}", fields.INFO)
         if not self.vehicle.is_mine(message):
             return []
         if name == "TIMESYNC":
@@ -181,9 +181,9 @@ class Companion:
         mute = self._health is not None and now_ns - self._offered_ns > _MUTE_NS
         return fields.CRITICAL if mute else fields.system_status(self._health)
 
-    def say(self, text: str, severity: int = fields.INFO) -> None:
-        """Have something said at the ground station."""
-        self._speaker.say(text, severity)
+    def farewell(self) -> list[Outgoing]:
+        """The last words."""
+        return self._speaker.at_once("stopped: no more poses", fields.WARNING)
 
     # what the filter says
 
@@ -225,7 +225,7 @@ class Companion:
         verdict = self.policy.decide(moment.t_ns, captured, health.state, now_ns, bool(why))
         if verdict is Verdict.COASTED and not self._withheld:
             self._withheld = True
-            self.say("has coasted long enough: pose withheld", fields.WARNING)
+            self._speaker.say("has coasted long enough: pose withheld", fields.WARNING)
         if verdict is not Verdict.SEND or pose is None:
             return []
         self._withheld = False

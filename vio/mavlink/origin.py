@@ -30,7 +30,10 @@ class OriginKeeper:
         self._given_up = self._said = False
 
     def due(self, vehicle: Vehicle, now_ns: int) -> list[Outgoing]:
-        """What to send now: nothing, or the origin and a question for it."""
+        """What to send now: nothing, or the origin and a question for it.
+
+        Only the question to an armed vehicle: PX4 would move its origin in flight.
+        """
         if vehicle.system is None or self.confirmed:
             return []
         if self._config is None:
@@ -41,10 +44,10 @@ class OriginKeeper:
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
         self._last_ns = now_ns
         c = self._config
-        return [
-            set_gps_global_origin(vehicle.system, c.lat_deg, c.lon_deg, c.alt_m),
-            command(vehicle.system, REQUEST_MESSAGE, GPS_GLOBAL_ORIGIN_ID),
-        ]
+        question = command(vehicle.system, REQUEST_MESSAGE, GPS_GLOBAL_ORIGIN_ID)
+        if vehicle.armed:
+            return [question]
+        return [set_gps_global_origin(vehicle.system, c.lat_deg, c.lon_deg, c.alt_m), question]
 
     def _say_none(self, vehicle: Vehicle) -> None:
         if not self._said and vehicle.autopilot == ARDUPILOT:

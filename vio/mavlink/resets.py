@@ -1,6 +1,6 @@
 """The reset counter: the autopilot's only way to know that the pose has jumped, not the vehicle."""
 
-from vio.frames import RELEVEL_RAD, Levelling, levelled, relevelled
+from vio.frames import Levelling, levelled, relevelled
 from vio.health import State
 from vio.records import Moment
 
@@ -31,7 +31,7 @@ class ResetCounter:
         """Take one state of the filter; whether the counter has moved.
 
         resets: how often the filter's estimate has jumped. The map is levelled once the filter has
-        started, anew when it starts again, and else where gravity has moved by more than 0.5 deg.
+        started, anew when that jumps, and else where gravity has surely moved by more than 0.5 deg.
         """
         if state is State.INIT:
             return False
@@ -42,7 +42,7 @@ class ResetCounter:
             self.levelling = levelled(moment.down_W, axis)
             turned = False
         else:
-            self.levelling, turned = relevelled(self.levelling, moment.down_W, RELEVEL_RAD)
+            self.levelling, turned = relevelled(self.levelling, moment.down_W, moment.down_sigma)
         if jumped or turned:
             self.value = (self.value + 1) % 256
             self.causes.append("relocated" if jumped else "levelled anew")

@@ -51,6 +51,11 @@ class Speaker:
         self._next.append((f"tagvio {text}", severity))
         self._next = self._next[-4:]
 
+    def at_once(self, text: str, severity: int) -> list[Outgoing]:
+        """Say something now, whatever was said a moment ago."""
+        self._id = self._id % 65535 + 1
+        return statustext(f"tagvio {text}", severity, self._id)
+
     def due(self, now_ns: int) -> list[Outgoing]:
         """What to send now."""
         if not self._next or (self._last_ns is not None and now_ns - self._last_ns < _APART_NS):
