@@ -15,6 +15,7 @@ from fc_world import health
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from vio.errors import LinkError
+from vio.mavlink import bridge as bridge_module
 from vio.mavlink import transport
 from vio.mavlink.bridge import Bridge, now_ns
 from vio.mavlink.saved import Saved, first_counter, load_saved, save
@@ -148,6 +149,21 @@ def test_a_server_that_is_not_there_yet_is_waited_for_and_found_again(make, capl
             fly(bridge, live, 5)
     assert bridge.counters["reconnected"] >= 2
     assert any("trying" in r.message for r in caplog.records)
+
+
+def test_a_tcp_connection_that_went_deaf_is_opened_anew(make, monkeypatch):
+    """A pulled cable ends no connection: only silence tells."""
+    monkeypatch.setattr(bridge_module, "_DEAF_NS", 300_000_000)
+    port = free_port(socket.SOCK_STREAM)
+    server = socket.create_server(("127.0.0.1", port))
+    bridge = make(f"tcp:127.0.0.1:{port}")
+    bridge.start()
+    deaf = server.accept()[0]
+    server.settimeout(3.0)
+    again = server.accept()[0]
+    until(lambda: bridge.counters["reconnected"] == 1)
+    for one in (deaf, again, server):
+        one.close()
 
 
 def test_a_simulator_that_comes_back_on_another_port_is_followed(make):

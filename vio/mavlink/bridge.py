@@ -31,6 +31,7 @@ LOG = logging.getLogger("vio.mavlink")
 Listener = Callable[[Any, int], None]
 _BACK_OFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 _LONGEST_S = 0.5  # that the reader waits without looking around
+_DEAF_NS = 10_000_000_000  # a TCP connection over which nothing comes for so long is dead
 _EPOCH_2015_S = 1420070400
 _SIGNING_AHEAD = 60_000_000  # 10 minutes, in 10 us: reserved on disk at a time
 
@@ -59,7 +60,7 @@ class Bridge:
         self._brain, self._writer = threading.Lock(), threading.Lock()
         self._ready = threading.Condition()
         self._transport: Transport | None = None
-        self._broken = False
+        self._broken, self._data_ns = False, now_ns()
         self._stop = threading.Event()
         self._woken, self._waker = socket.socketpair()
         self._waker.setblocking(False)
@@ -144,7 +145,7 @@ class Bridge:
         while not self._stop.is_set():
             try:
                 if self._transport is None:
-                    self._transport = open_transport(self._address)
+                    self._transport, self._data_ns = open_transport(self._address), now_ns()
                     self.counters["reconnected"] += 1
                     LOG.info("%s is open again", self.config.url)
                 tries = 0
@@ -172,7 +173,10 @@ class Bridge:
             data, peer = transport.read()
             arrival = now_ns()
             if data:
+                self._data_ns = arrival
                 self._take(data, peer, arrival, transport)
+        if self._address.kind == "tcp" and now_ns() - self._data_ns > _DEAF_NS:
+            raise OSError(f"silent for {_DEAF_NS * 1e-9:.0f} s")
         if self._broken:
             raise OSError("the link broke while sending")
         with self._brain:
