@@ -9,6 +9,7 @@ from pydantic import BaseModel, field_validator
 from tagvo.config import TagvoConfig, validated
 from tagvo.errors import ConfigError
 from tagvo.textfile import parse_yaml, read_yaml
+from vio.mavlink_settings import MavlinkConfig
 from vio.settings import VioConfig
 
 _IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
@@ -40,6 +41,7 @@ class Config(BaseModel, frozen=True, extra="forbid"):
     tagvo: TagvoConfig = TagvoConfig()
     vehicle: VehicleConfig = VehicleConfig()
     vio: VioConfig = VioConfig()
+    mavlink: MavlinkConfig = MavlinkConfig()
 
 
 def load_config(path: Path | None, assignments: Sequence[str] = ()) -> Config:

@@ -11,3 +11,7 @@ class LogError(VioError):
 
 class EvaluationError(VioError):
     """Two trajectories cannot be compared."""
+
+
+class LinkError(VioError):
+    """A link to a flight controller cannot be had, or what is at its end is not known."""

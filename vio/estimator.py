@@ -14,9 +14,9 @@ from vio import layout as at
 from vio.corners import pack
 from vio.health import Health, Signs, judge
 from vio.intake import DEGRADED_NS, ImuIntake, Interval
-from vio.output import camera_prior, nav_state
+from vio.output import camera_prior, moment, nav_state
 from vio.pivot import pose_row
-from vio.records import ImuNoise, ImuSample, NavState
+from vio.records import ImuNoise, ImuSample, Moment, NavState
 from vio.recovery import relocation
 from vio.rig import RigJudge
 from vio.settings import VioConfig
@@ -146,6 +146,13 @@ class Estimator:
             return None
         w = self._window
         return nav_state(w.now_ns, w.X[w.last], w.P[w.last])
+
+    def moment(self, t_ns: int | None = None) -> Moment | None:
+        """The filter at a stamp of the camera's clock, None: at its newest sample, for a vehicle.
+
+        None before the start, for a stamp beyond its memory, and 50 ms ahead of the IMU.
+        """
+        return moment(self._window, t_ns) if self._started else None
 
     def prior(self, t_ns: int) -> PosePrior | None:
         """Where the camera is at a stamp of its clock, with the prediction's covariance."""

@@ -8,11 +8,13 @@ from tagvo.records import PosePrior
 from vio import layout as at
 from vio.imu import propagate
 from vio.predicted import camera_jacobian, camera_pose
-from vio.records import NavState
+from vio.records import Moment, NavState
 from vio.window import Window
 
 _ORDER = np.r_[at.P : at.P + 3, at.TH : at.TH + 3, at.V : at.V + 3]
 _PICK = np.ix_(_ORDER, _ORDER)
+_AHEAD_NS = 50_000_000  # how far a state is predicted beyond the newest sample
+_NOISES = np.setdiff1d(np.arange(at.NOISE), [at.N_GRAVITY, at.N_BIAS_RATE])
 
 
 def nav_state(t_ns: int, x: Array, P: Array) -> NavState:
@@ -21,6 +23,31 @@ def nav_state(t_ns: int, x: Array, P: Array) -> NavState:
     return NavState(
         t_ns, x[at.X_P : at.X_P + 3].copy(), R_WI, x[at.X_V : at.X_V + 3].copy(), P[_PICK]
     )
+
+
+def moment(window: Window, t_ns: int | None) -> Moment | None:
+    """The filter at a stamp of the camera's clock, None: at its newest sample.
+
+    None where its memory does not reach back so far, or the IMU has not come near the stamp.
+
+    From the first snapshot at or after the stamp, back: only that one holds a frame of this stamp.
+    """
+    td_ns = round(window.X[window.last, at.X_TD] * 1e9)
+    due = window.now_ns if t_ns is None else t_ns + td_ns
+    if not window.t[0] <= due <= window.now_ns + _AHEAD_NS:
+        return None
+    k = min(window.at_or_before(due - 1) + 1, window.last)
+    x, P = window.X[k].copy(), window.P[k].copy()
+    dt = (due - int(window.t[k])) * 1e-9
+    if dt != 0.0:
+        q = window.q.copy()
+        if dt < 0.0:  # going back adds no noise
+            q[_NOISES] = 0.0
+        propagate(x, P, window.imu[k], dt, q)
+    up_W = geo.matrix_from_quat(x[at.X_QWG : at.X_QWG + 4])[:, 2]
+    w_I = window.imu[k, 0:3] - x[at.X_BG : at.X_BG + 3]
+    sigma = float(np.sqrt(np.diag(P)[at.GR : at.GR + 2].max()))
+    return Moment(due - td_ns, nav_state(due, x, P), w_I, -up_W, sigma)
 
 
 def camera_prior(window: Window, t_ns: int) -> PosePrior | None:

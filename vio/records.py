@@ -99,3 +99,18 @@ class NavState:
     R_WI: Array
     v_WI: Array | None = None
     cov: Array | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """The filter at one moment, with all that a vehicle is told.
+
+    t_ns: the moment in the camera's clock (nav.t_ns is in the IMU's); w_I (3,) angular rate without
+    its bias [rad/s]; down_W (3,) gravity's direction in W, unit; down_sigma [rad] of that.
+    """
+
+    t_ns: int
+    nav: NavState
+    w_I: Array
+    down_W: Array
+    down_sigma: float = 0.0

@@ -13,6 +13,7 @@ from tagvo import geometry as geo
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import PoseMeasurement
 from vio import layout as at
+from vio.frames import level_frame
 from vio.intake import Interval
 from vio.memory import no_memory
 from vio.settings import VioConfig
@@ -148,15 +149,6 @@ def _nominal(R_WI: Array, pvg: Array, gyro_bias: Array, rig: Rig) -> Array:
     x[at.X_PIC : at.X_PIC + 3] = rig.p_IC
     x[at.X_RECENT :] = no_memory()
     return x
-
-
-def level_frame(down_W: Array) -> Array:
-    """R_WG (3, 3): z of G against gravity, x the map's x made level (its y, where x stands)."""
-    z = -down_W / np.linalg.norm(down_W)
-    x = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.8 else np.array([0.0, 1.0, 0.0])
-    x = x - z * (x @ z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
 def prior_covariance(config: VioConfig, still: bool, gravity_sigma: float | None) -> Array:

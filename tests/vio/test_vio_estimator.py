@@ -8,12 +8,12 @@ from numpy.testing import assert_allclose
 from tagvo import geometry as geo
 from vio import layout as at
 from vio.estimator import Estimator
+from vio.frames import level_frame
 from vio.health import State
 from vio.records import ImuSample
 from vio.settings import PriorConfig, VioConfig
 from vio.sim.inertial import PIXHAWK
 from vio.sim.poses import PoseNoise, wrong_rig
-from vio.start import level_frame
 from vio.window import _mean_rate
 
 

@@ -1,0 +1,1 @@
+"""The bridge to a flight controller: poses out, IMU and clock in; all MAVLink is in here."""

@@ -1,0 +1,296 @@
+"""The bridge's brain: what is heard and what the filter says in, messages to send out.
+
+It owns no thread, no socket and no clock: every call says what time it is, in the one monotonic
+clock of this computer, in which poses are stamped, TIMESYNC is answered and IMU samples arrive.
+"""
+
+import logging
+from collections import Counter, deque
+from typing import Any
+
+import numpy as np
+
+from tagvo.geometry import Array
+from vio.clock import Asker, ClockTrack, learn, to_ours
+from vio.frames import Alignment, NedPose, to_ned
+from vio.health import Health
+from vio.mavlink import fields
+from vio.mavlink.fields import Outgoing
+from vio.mavlink.heading import Heading
+from vio.mavlink.latency import AgeMeter, delay_advice
+from vio.mavlink.origin import OriginKeeper
+from vio.mavlink.policy import Rules, SendPolicy, Verdict
+from vio.mavlink.resets import ResetCounter
+from vio.mavlink.streams import StreamRequest
+from vio.mavlink.vehicle import Vehicle
+from vio.mavlink.words import Speaker
+from vio.mavlink_settings import MavlinkConfig
+from vio.records import Moment
+
+LOG = logging.getLogger("vio.mavlink")
+_SECOND = 1_000_000_000
+_MUTE_NS = _SECOND  # the filter has said nothing for so long: it is not trusted
+_ATTITUDE_HZ = 20.0
+_NEVER = -(1 << 62)
+
+
+class Companion:
+    """Companion computer of one vehicle.
+
+    `heard` takes messages, `due` is called when `due_ns` comes, `offer` takes the filter's states;
+    each returns what is to be sent now. `clock` maps the autopilot's stamps to ours.
+    """
+
+    def __init__(
+        self,
+        config: MavlinkConfig,
+        R_BI: Array,
+        p_BI: Array,
+        first_counter: int,
+        message_ids: dict[str, int],
+    ) -> None:
+        """R_BI (3, 3), p_BI (3,): I in the vehicle's body; message_ids: MAVLink's, by name."""
+        self.config = config
+        self.vehicle = Vehicle(config)
+        self.resets = ResetCounter(first_counter)
+        self.heading = Heading(config, R_BI)
+        self.origin = OriginKeeper(config.origin)
+        self.policy = SendPolicy(_rules(config))
+        self.ages = AgeMeter()
+        self.clock: ClockTrack | None = None
+        self.counters: Counter[str] = Counter()
+        self.imu = _stream(config.imu.message, message_ids, config.imu.rate_hz)
+        self._attitude = _stream("ATTITUDE", message_ids, _ATTITUDE_HZ)
+        self._R_BI, self._p_BI = R_BI, p_BI
+        self.asker, self._speaker = Asker(), Speaker()
+        self._health: Health | None = None
+        self._offered_ns = self._heartbeat_ns = self._asked_ns = _NEVER
+        self._uptime_ns: dict[str, int] = {}  # of the autopilot, as each of its clocks tells it
+        self._restarted_ns = _NEVER
+        self._waits_for: StreamRequest | None = None  # whose question is not answered yet
+        self._waits_since = _NEVER
+        self._waiting: deque[tuple[int, list[Outgoing]]] = deque()  # poses, and when they may leave
+        self._withheld = False
+
+    # what is heard
+
+    def heard(self, message: Any, now_ns: int) -> list[Outgoing]:
+        """Take a decoded message that arrived at now_ns."""
+        name = message.get_type()
+        if name == "HEARTBEAT" and self.vehicle.heartbeat(message, now_ns):
+            self._speaker.say(f"connected to {self.vehicle.name}", fields.INFO)
+        if not self.vehicle.is_mine(message):
+            return []
+        if name == "TIMESYNC":
+            return self._timesync(message, now_ns)
+        if self.imu is not None and name == self.imu.name:
+            self.imu.arrived(now_ns)
+        elif name == "ATTITUDE":
+            self._take_attitude(message, now_ns)
+        elif name == "GPS_GLOBAL_ORIGIN":
+            self.origin.heard(message)
+        elif name == "SYSTEM_TIME":
+            self._up_for("SYSTEM_TIME", message.time_boot_ms * 1_000_000, now_ns)
+        elif name == "COMMAND_ACK" and message.command == fields.SET_MESSAGE_INTERVAL:
+            if self._waits_for is not None:
+                self._waits_for.acknowledged(message.result)
+            self._waits_for = None
+        return []
+
+    def _timesync(self, message: Any, now_ns: int) -> list[Outgoing]:
+        if message.tc1 == 0:
+            self.counters["timesync_answered"] += 1
+            return [fields.timesync(message.ts1, now_ns)]
+        exchange = self.asker.answered(message.ts1, message.tc1, now_ns)
+        if exchange is None:
+            self.counters["timesync_of_others"] += 1
+            return []
+        self._up_for("TIMESYNC", message.tc1, now_ns)
+        before, self.clock = self.clock, learn(self.clock, exchange)
+        if before is not None and self.clock is not None and self.clock.epoch != before.epoch:
+            step_s = (self.clock.offset_ns - before.offset_ns) * 1e-9
+            LOG.warning("the autopilot's clock has moved against ours by %.3f s", -step_s)
+            self.counters["clock_steps"] += 1
+        return []
+
+    def _take_attitude(self, message: Any, now_ns: int) -> None:
+        if self._attitude is None or not self.heading.sought:
+            return
+        self._attitude.arrived(now_ns)
+        t_ns = now_ns
+        if self.clock is not None:
+            t_ns = to_ours(self.clock, message.time_boot_ms * 1_000_000)
+        self.heading.attitude(t_ns, message.yaw)
+
+    def _up_for(self, clock: str, uptime_ns: int, now_ns: int) -> None:
+        """Take the autopilot's time since its start; where it has gone back, all is forgotten."""
+        before = self._uptime_ns.get(clock, uptime_ns)
+        self._uptime_ns[clock] = uptime_ns
+        if uptime_ns > before - _SECOND or now_ns - self._restarted_ns < 5 * _SECOND:
+            return
+        self._restarted_ns = now_ns
+        LOG.warning("%s has started again", self.vehicle.name)
+        self.counters["autopilot_restarts"] += 1
+        self.origin.restarted()
+        for stream in (self.imu, self._attitude):
+            if stream is not None:
+                stream.restarted()
+
+    # what is due
+
+    @property
+    def due_ns(self) -> int:
+        """When `due` wants to be called next."""
+        due_ns = min(self._heartbeat_ns + _SECOND, self._asked_ns + self._ask_every)
+        return min(due_ns, self._waiting[0][0]) if self._waiting else due_ns
+
+    @property
+    def _ask_every(self) -> int:
+        return round(_SECOND / self.config.timesync_hz)
+
+    def due(self, now_ns: int) -> list[Outgoing]:
+        """All that time itself asks for."""
+        out: list[Outgoing] = []
+        while self._waiting and self._waiting[0][0] <= now_ns:
+            out += self._waiting.popleft()[1]
+        if now_ns - self._heartbeat_ns >= _SECOND:
+            self._heartbeat_ns = now_ns
+            out.append(fields.heartbeat(self._status(now_ns)))
+        asks = now_ns - self._asked_ns >= self._ask_every
+        self._asked_ns = now_ns if asks else self._asked_ns
+        if not self.vehicle.alive(now_ns):
+            return out
+        if asks:
+            out.append(fields.timesync(self.asker.ask(now_ns), 0))
+        out += self.origin.due(self.vehicle, now_ns)
+        out += self._stream_questions(now_ns)
+        return out + self._speaker.due(now_ns)
+
+    def _stream_questions(self, now_ns: int) -> list[Outgoing]:
+        """One question at a time: an answer does not say which message it is about."""
+        if self._waits_for is not None and now_ns - self._waits_since < _SECOND:
+            return []
+        for stream in (self.imu, self._attitude if self.heading.sought else None):
+            question = [] if stream is None else stream.due(self.vehicle, now_ns)
+            if question:
+                self._waits_for, self._waits_since = stream, now_ns
+                return question
+        return []
+
+    def _status(self, now_ns: int) -> int:
+        mute = self._health is not None and now_ns - self._offered_ns > _MUTE_NS
+        return fields.CRITICAL if mute else fields.system_status(self._health)
+
+    def farewell(self) -> list[Outgoing]:
+        """The last words."""
+        return self._speaker.at_once("stopped: no more poses", fields.WARNING)
+
+    # what the filter says
+
+    def wanted(self, now_ns: int) -> int | None:
+        """The stamp for which a state is wanted now, besides those at captures; None: for none.
+
+        One that fills in for captures is as old as they are when they leave: ArduPilot takes the
+        least age that it meets for zero, and a fresh one would shift all others.
+        """
+        if not self.policy.hungry(now_ns):
+            return None
+        if not self.policy.rules.at_capture:
+            return now_ns
+        least_ns = self.ages.least_ns
+        return None if least_ns is None else now_ns - least_ns
+
+    def note(self, health: Health, now_ns: int) -> None:
+        """Take the filter's word on itself where there is no state to offer."""
+        self._health, self._offered_ns = health, now_ns
+        self._speaker.health(health)
+
+    def offer(self, moment: Moment, health: Health, captured: bool, now_ns: int) -> list[Outgoing]:
+        """Take a state of the filter: at the capture of a frame, or one that was `wanted`."""
+        self.note(health, now_ns)
+        if not _finite(moment):
+            self.counters["held_not_finite"] += 1
+            return []
+        if self.resets.look(moment, health.state, health.resets):
+            self.heading.relevelled()
+            LOG.info("the pose has jumped (%s): reset counter %d",
+                     self.resets.causes[-1], self.resets.value)  # fmt: skip
+        if self.resets.levelling is not None:
+            self.heading.state(moment.t_ns, moment.nav, self.resets.levelling)
+        pose = self._in_ned(moment)
+        why = self._why_held(pose, now_ns)
+        if why:
+            self.counters[f"held_{why}"] += 1
+        leaves_ns = self.policy.leaves_at(now_ns)
+        verdict = self.policy.decide(moment.t_ns, captured, health.state, now_ns, bool(why))
+        if verdict is Verdict.COASTED and not self._withheld:
+            self._withheld = True
+            self._speaker.say("has coasted long enough: pose withheld", fields.WARNING)
+        if verdict is not Verdict.SEND or pose is None:
+            return []
+        self._withheld = False
+        if captured:
+            self.ages.add(leaves_ns - moment.t_ns)
+        out = self._messages(moment.t_ns, pose, health)
+        if leaves_ns <= now_ns:
+            return out
+        self._waiting.append((leaves_ns, out))
+        return []
+
+    def _in_ned(self, moment: Moment) -> NedPose | None:
+        levelling, heading = self.resets.levelling, self.heading.rad
+        if levelling is None or heading is None:
+            return None
+        alignment = Alignment(levelling, heading, self._R_BI, self._p_BI)
+        return to_ned(moment.nav, alignment, moment.w_I)
+
+    def _why_held(self, pose: NedPose | None, now_ns: int) -> str:
+        """Why nothing can be sent now, whatever it is; or an empty text."""
+        if self.vehicle.system is None:
+            return "no_autopilot"
+        if not self.origin.ready(now_ns):
+            return "no_origin"
+        if pose is None:
+            return "no_heading"
+        return "unsaved_reset" if self.resets.unsaved else ""
+
+    def _messages(self, t_ns: int, pose: NedPose, health: Health) -> list[Outgoing]:
+        counter = self.resets.value
+        if self.config.message == "ODOMETRY":
+            frame = fields.odometry_frame(self.vehicle.autopilot or 0)
+            return [fields.odometry(t_ns, pose, counter, frame, fields.quality(health))]
+        out = [fields.vision_position_estimate(t_ns, pose, counter)]
+        speed = fields.vision_speed_estimate(t_ns, pose, counter) if self.config.speed else None
+        return out if speed is None else [*out, speed]
+
+    # what there is to know
+
+    def delay_advice(self) -> str | None:
+        """The autopilot's delay parameter as measured; None before the first pose."""
+        ages = self.ages.ages()
+        if ages is None or self.vehicle.autopilot is None:
+            return None
+        one_way = 0.0 if self.clock is None else 0.5e-6 * min(self.clock.rtts_ns)
+        synced = self.counters["timesync_answered"] > 0
+        return delay_advice(ages, one_way, self.vehicle.autopilot, synced)
+
+
+def _finite(moment: Moment) -> bool:
+    """Whether all is that a pose is made of; its covariance may be what it is."""
+    nav = moment.nav
+    parts = [nav.p_WI, nav.R_WI, moment.w_I, moment.down_W]
+    parts += [] if nav.v_WI is None else [nav.v_WI]
+    return all(np.isfinite(part).all() for part in parts)
+
+
+def _rules(config: MavlinkConfig) -> Rules:
+    return Rules(
+        config.rate_hz,
+        round(config.max_age_s * 1e9),
+        round(config.coast_s * 1e9),
+        config.valid_at == "capture",
+    )
+
+
+def _stream(name: str, ids: dict[str, int], rate_hz: float) -> StreamRequest | None:
+    return None if name == "none" else StreamRequest(name, ids[name], rate_hz)

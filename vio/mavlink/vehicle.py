@@ -1,0 +1,68 @@
+"""Who is at the other end: which autopilot was heard, whether it is there, and armed."""
+
+import logging
+from typing import Any
+
+from vio.errors import LinkError
+from vio.mavlink.fields import ARDUPILOT, AUTOPILOT_COMPONENT, NO_AUTOPILOT, PX4
+from vio.mavlink_settings import MavlinkConfig
+
+LOG = logging.getLogger("vio.mavlink")
+NAMES = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
+_NUMBERS = {"ardupilot": ARDUPILOT, "px4": PX4}
+_ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
+_SILENT_NS = 3_500_000_000  # three heartbeats are missing
+
+
+class Vehicle:
+    """The one autopilot of this link; system and autopilot are None until it is heard."""
+
+    def __init__(self, config: MavlinkConfig) -> None:
+        self.system: int | None = None
+        self.autopilot: int | None = None
+        self.armed = False
+        self.fault: LinkError | None = None
+        self._wanted, self._named = config.system_id, _NUMBERS.get(config.autopilot)
+        self._heard_ns: int | None = None
+        self._lost = False
+
+    def is_mine(self, message: Any) -> bool:
+        """Whether a message is from this vehicle's autopilot (or might be, while none is known)."""
+        if message.get_srcComponent() != AUTOPILOT_COMPONENT:
+            return False
+        known = self._wanted if self.system is None else self.system
+        return known is None or message.get_srcSystem() == known
+
+    def heartbeat(self, message: Any, now_ns: int) -> bool:
+        """Take a HEARTBEAT; whether the vehicle has just been found or is back."""
+        if not self.is_mine(message) or message.autopilot == NO_AUTOPILOT:
+            return False
+        if self._named is None and message.autopilot not in NAMES:
+            self.fault = LinkError(
+                f"the flight controller (system {message.get_srcSystem()}) is of type"
+                f" {message.autopilot}, neither ArduPilot (3) nor PX4 (12); if it behaves as one of"
+                " them say so: mavlink.autopilot=ardupilot or px4"
+            )
+            return False
+        news = self.system is None or self._lost
+        self.system = message.get_srcSystem()
+        self.autopilot = message.autopilot if self._named is None else self._named
+        self.armed = bool(message.base_mode & _ARMED)
+        self._heard_ns, self._lost = now_ns, False
+        if news:
+            LOG.info("%s, system %d, is there", self.name, self.system)
+        return news
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+        return NAMES.get(self.autopilot or 0, "the flight controller")
+
+    def alive(self, now_ns: int) -> bool:
+        """Whether it was heard lately; the loss is logged once."""
+        if self._heard_ns is None:
+            return False
+        if not self._lost and now_ns - self._heard_ns > _SILENT_NS:
+            self._lost = True
+            LOG.warning("%s is silent for %.1f s", self.name, (now_ns - self._heard_ns) * 1e-9)
+        return not self._lost
