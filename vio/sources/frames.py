@@ -25,13 +25,15 @@ _NO_TAGS = Detections.of(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)))
 class FrameSource:
     """The frames of one camera, ready to be offered one by one.
 
-    t_ns (n,), arrival_ns (n,); image_path of each, None: take its corners; corners: by stamp, None
-    where the log has no detections.csv; first_ns: stamp of the camera's first frame, whether
-    offered or not; resolution (width, height) [px] of the calibration.
+    t_ns (n,), arrival_ns (n,); received_ns (n,): when an image came from the camera, before its
+    tags were known; image_path of each, None: take its corners; corners: by stamp, None where the
+    log has no detections.csv; first_ns: stamp of the camera's first frame, whether offered or not;
+    resolution (width, height) [px] of the calibration.
     """
 
     t_ns: IntArray
     arrival_ns: IntArray
+    received_ns: IntArray
     image_path: list[Path | None]
     corners: Mapping[int, Detections] | None
     first_ns: int
@@ -99,9 +101,11 @@ def open_frames(
     tally.count("image_missing", text, int(np.sum(taken & shown & ~usable)))
     rows = np.flatnonzero(taken & shown & usable)
     arrival = _arrivals(frames, table, images, options)
+    received = arrival if frames.received_ns is None else frames.received_ns
     return FrameSource(
         frames.t_ns[rows],
         arrival[rows],
+        received[rows],
         [images[i] for i in rows.tolist()],
         corners,
         int(frames.t_ns[0]),
