@@ -36,7 +36,11 @@ class Capture:
         return (True, self.image) if self.plugged else (False, None)
 
     def get(self, what):
-        return {cv2.CAP_PROP_POS_MSEC: self.stamps[-1], cv2.CAP_PROP_EXPOSURE: self.exposure}[what]
+        if what == cv2.CAP_PROP_POS_MSEC:
+            return self.stamps[-1]
+        height, width = self.image.shape[:2]
+        return {cv2.CAP_PROP_EXPOSURE: self.exposure, cv2.CAP_PROP_FRAME_WIDTH: width,
+                cv2.CAP_PROP_FRAME_HEIGHT: height}[what]  # fmt: skip
 
     def release(self):
         self.closed = True
@@ -69,6 +73,15 @@ def test_a_stamp_of_another_clock_is_replaced_by_the_arrival():
     shot = v4l2(capture).read()
     assert not shot.exact
     assert before - 6e6 <= shot.t_ns <= time.monotonic_ns() - 6e6
+
+
+def test_images_that_waited_in_the_driver_are_passed_over():
+    capture = Capture()
+    ages = iter([3000.0, 2990.0, 12.0])
+    capture.clock = lambda: time.monotonic_ns() * 1e-6 - next(ages) + 12.0
+    shot = v4l2(capture, stamp="middle").read()
+    assert len(capture.stamps) == 3
+    assert time.monotonic_ns() - shot.t_ns < 1e9
 
 
 def test_a_wrong_size_and_a_missing_device_are_one_line():

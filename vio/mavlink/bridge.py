@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tagvo.geometry import Array
 from vio.errors import LinkError
@@ -28,6 +28,7 @@ from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment
 
 LOG = logging.getLogger("vio.mavlink")
+T = TypeVar("T")
 Listener = Callable[[Any, int], None]
 Watcher = Callable[[Outgoing, int], None]
 _BACK_OFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
@@ -83,6 +84,11 @@ class Bridge:
     def watch(self, watcher: Watcher) -> None:
         """Have a function called with every message that has left, and when, by who sent it."""
         self._watchers.append(watcher)
+
+    def asked(self, question: Callable[[Companion], T]) -> T:
+        """The answer to a question about the companion while nothing changes it."""
+        with self._brain:
+            return question(self.companion)
 
     def say(self, text: str, bad: bool) -> None:
         """Have the ground station read something; from any thread."""

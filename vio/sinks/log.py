@@ -31,6 +31,7 @@ _HEADERS = {
 _LAYOUT = (  # all that a log may hold: what `replace` removes
     "tagmap.yaml", "camchain-imucam.yaml", "imu.yaml", "config.yaml", "phases.csv",
     "mav0/*/data.csv", "mav0/*/sensor.yaml", "mav0/cam0/detections.csv", "mav0/cam0/data/*.png",
+    "flown/*",
 )  # fmt: skip
 
 
@@ -81,18 +82,15 @@ class LogWriter:
         if config_text is not None:
             write_atomic(self.path / "config.yaml", config_text)
 
-    def frame(self, frame: Frame, received_ns: int | None = None) -> None:
-        """A row for the frame; its image as PNG and its detections, where it has them.
-
-        received_ns: when its image came from the camera, None: at arrival_ns.
-        """
+    def frame(self, frame: Frame) -> None:
+        """A row for the frame; its image as PNG and its detections, where it has them."""
         name = "" if frame.image is None else f"{frame.t_ns}.png"
         if frame.image is not None:
             _write_png(self.path / _CAM / "data" / name, frame.image)
         if frame.detections is not None:
             self._tags(frame.t_ns, frame.detections)
         arrival = frame.t_ns if frame.arrival_ns is None else frame.arrival_ns
-        received = arrival if received_ns is None else received_ns
+        received = arrival if frame.received_ns is None else frame.received_ns
         self._row(_CAM / "data.csv", "frames", f"{frame.t_ns},{name},{arrival},{received}")
 
     def imu(self, sample: ImuSample, name: str = "imu0") -> None:
@@ -118,6 +116,10 @@ class LogWriter:
             self.path / "phases.csv", "\n".join(["name,t_start_ns,t_end_ns", *rows]) + "\n"
         )
 
+    def line(self, name: str, row: str, header: str | None = None) -> None:
+        """A line of a file of the caller's own below the log; header: the first line."""
+        self._append(Path(name), header, row)
+
     def sync(self) -> None:
         """Bring every row written so far to the disk itself."""
         for file in self._files.values():
@@ -140,6 +142,9 @@ class LogWriter:
             self._row(_CAM / "detections.csv", "detections", row)
 
     def _row(self, name: Path, kind: str, row: str) -> None:
+        self._append(name, _HEADERS[kind], row)
+
+    def _append(self, name: Path, header: str | None, row: str) -> None:
         """Append a row to a file below the log, opened (with its header) where it is not yet."""
         file = self._files.get(name)
         if file is None:
@@ -147,8 +152,8 @@ class LogWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             fresh = not path.exists()
             file = self._files[name] = path.open("a", encoding="utf-8", buffering=1)
-            if fresh:
-                file.write(_HEADERS[kind] + "\n")
+            if fresh and header is not None:
+                file.write(header + "\n")
         file.write(row + "\n")
 
 

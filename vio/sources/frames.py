@@ -47,10 +47,13 @@ class FrameSource:
         """One frame; None (and counted) where its image cannot be used."""
         t_ns, arrival_ns = int(self.t_ns[row]), int(self.arrival_ns[row])
         path = self.image_path[row]
+        corners = (self.corners or {}).get(t_ns, _NO_TAGS)
         if path is None:
-            corners = (self.corners or {}).get(t_ns, _NO_TAGS)
             return Frame(t_ns, detections=corners, arrival_ns=arrival_ns)
         image = read_image(path)
+        if image is None and self.corners is not None:  # as after a power cut
+            self.tally.count("image_unreadable", f"{path}: no image, its corners are taken")
+            return Frame(t_ns, detections=corners, arrival_ns=arrival_ns)
         if image is None:
             self.tally.count("image_unreadable", f"{path}: no image, frame skipped")
             return None
@@ -60,7 +63,7 @@ class FrameSource:
             text = f"{path}: {width}x{height} pixels, the camera file says {needed}; frame skipped"
             self.tally.count("image_size", text)
             return None
-        return Frame(t_ns, image, arrival_ns=arrival_ns)
+        return Frame(t_ns, image, arrival_ns=arrival_ns, received_ns=int(self.received_ns[row]))
 
 
 def read_image(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]] | None:

@@ -61,12 +61,9 @@ class LiveCamera:
         hand_on: Callable[[Frame], None],
         say: Callable[[str, bool], None],
     ) -> None:
-        """Opens the camera at once: what open_it raises is the caller's.
-
-        say(text, bad): tells the ground that the camera has gone or is back.
-        """
+        """say(text, bad): tells the ground that the camera has gone or is back."""
         self._open, self._hand_on, self._say = open_it, hand_on, say
-        self._grabber: Grabber | None = open_it()
+        self._grabber: Grabber | None = None
         self.counters: Counter[str] = Counter()
         self.present, self.ended = True, threading.Event()
         self.newest_ns: int | None = None
@@ -83,8 +80,6 @@ class LiveCamera:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
-        elif self._thread.ident is None:
-            self._close()
 
     def _live(self) -> None:
         tries = 0
@@ -126,7 +121,8 @@ class LiveCamera:
             self.counters["camera_backward"] += 1
             return
         self._before_ns, self.newest_ns = shot.t_ns, arrival
-        self._hand_on(Frame(shot.t_ns, gray_image(shot.image), arrival_ns=arrival))
+        image = gray_image(shot.image)
+        self._hand_on(Frame(shot.t_ns, image, arrival_ns=arrival, received_ns=arrival))
 
     def _gone(self, why: str) -> None:
         if not self.present:

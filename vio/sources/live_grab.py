@@ -17,7 +17,9 @@ from vio.errors import CameraLost, SourceError
 from vio.sources.frames import read_image
 
 Image = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
-_OLDEST_NS = 1_000_000_000  # a driver's stamp further in the past is none
+_OLDEST_NS = 1_000_000_000  # an image that waited longer is not worth looking at
+_FOREIGN_NS = 60_000_000_000  # a stamp further in the past, or in the future, is of another clock
+_STALE = 16  # images of a filled driver queue that are passed over at most
 _PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".tif", ".tiff"}
 _READ_TIMEOUT_MS = 700
 _ALLOWED = (
@@ -101,6 +103,7 @@ class V4l2:
         if not self._capture.isOpened():
             self.close()
             raise CameraLost(f"{self._where}: {_why_closed(config.device)}; {_ALLOWED}")
+        _check_mode(self._capture, size, self._where)
         driver = _driver(config.device)
         self._kind = config.stamp
         if self._kind == "auto":
@@ -114,12 +117,17 @@ class V4l2:
     def read(self) -> Shot | None:
         import cv2
 
-        done, image = self._capture.read()
-        arrival = time.monotonic_ns()
-        if not done or image is None:
-            raise CameraLost(f"{self._where}: no image")
+        for _ in range(_STALE):
+            done, image = self._capture.read()
+            arrival = time.monotonic_ns()
+            if not done or image is None:
+                raise CameraLost(f"{self._where}: no image")
+            stamp = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
+            if not _OLDEST_NS < arrival - stamp < _FOREIGN_NS:
+                break
+        else:
+            raise CameraLost(f"{self._where}: only old images")
         check_size(image, self._size, self._where)
-        stamp = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
         exposure = self._exposure_ns(self._capture.get(cv2.CAP_PROP_EXPOSURE))
         if 0 <= arrival - stamp <= _OLDEST_NS:
             return Shot(image, middle_ns(stamp, self._kind, exposure, self._readout_ns))
@@ -159,6 +167,18 @@ def _capture(config: CameraConfig, size: tuple[int, int]) -> Any:
         capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, 1)  # V4L2_EXPOSURE_MANUAL
         capture.set(cv2.CAP_PROP_EXPOSURE, round(config.exposure_ms * 10.0))
     return capture
+
+
+def _check_mode(capture: Any, size: tuple[int, int], where: str) -> None:
+    """SourceError where the driver has not taken the size that was asked for."""
+    import cv2
+
+    told = capture.get(cv2.CAP_PROP_FRAME_WIDTH), capture.get(cv2.CAP_PROP_FRAME_HEIGHT)
+    width, height = (round(x) for x in told)
+    if width > 0 and (width, height) != size:
+        raise SourceError(
+            f"{where}: images of {width}x{height}; the calibration is for {size[0]}x{size[1]}"
+        )
 
 
 def _device_path(device: str) -> Path:
