@@ -1,5 +1,6 @@
 """One flight: threads at the edges, the one loop between them, and an orderly end."""
 
+import gc
 import logging
 import threading
 import time
@@ -76,6 +77,7 @@ class Flight:
         if self.recorder is not None:
             self.recorder.start()
         self.detection.start()
+        gc.freeze()  # what is loaded stays: looking through it again costs up to 0.1 s a time
         sinks = [] if self.recorder is None else [self.recorder]
         return run(
             self.events, self._loop_vo, [VoArm(self._camera), self.arm], self._watch,
