@@ -36,10 +36,13 @@ def command(
         typer.echo(f"{config}: all is there; nothing was sent")
         return
     ended = threading.Event()
-    signal.signal(signal.SIGTERM, lambda number, frame: ended.set())
-    with gently() as asked:
-        result = fly.fly(loaded, config, lambda: ended.is_set() or asked())
-        interrupted = asked()
+    before = signal.signal(signal.SIGTERM, lambda number, frame: ended.set())
+    try:
+        with gently() as asked:
+            result = fly.fly(loaded, config, lambda: ended.is_set() or asked())
+            interrupted = asked()
+    finally:
+        signal.signal(signal.SIGTERM, before)
     if result is not None:
         typer.echo(f"{result.frames} frames, {result.with_pose} with a pose; {result.imu} samples")
     if interrupted:
