@@ -86,13 +86,17 @@ def cpu_s(pid):
     return (int(fields[11]) + int(fields[12])) / _TICK
 
 
-def soak(folder, seconds, *, rate_hz=30.0, each_second=lambda k, daemon: None):
-    """Fly for so long from the first pose on; folder: empty, for images and recording."""
+def soak(folder, seconds, *, rate_hz=30.0, core=None, each_second=lambda k, daemon: None):
+    """Fly for so long from the first pose on; folder: empty, for images and recording.
+
+    core: the daemon has this one alone, with all its threads; None: it runs where it likes.
+    """
     port = free_port()
     write_images(folder / "images")
     config = write_config(folder, port, rate_hz=rate_hz)
     rss = []
-    with Live(udp_to(port), Steady) as live, Daemon(config) as daemon:
+    pinned = () if core is None else ("taskset", "-c", str(core))
+    with Live(udp_to(port), Steady) as live, Daemon(config, before=pinned) as daemon:
         until(lambda: live.fc.heard.get(VISION), 120.0, "vision")
         pid, fc, start = daemon.process.pid, live.fc, time.monotonic()
         before, cpu = (fc.imu_sent, len(fc.heard[VISION]), len(fc.fused)), cpu_s(pid)

@@ -68,12 +68,12 @@ def write_config(folder, port, *, rate_hz=20.0, name="daemon.yaml", **changes):
 class Daemon:
     """`tagvio daemon` as a process; within `with` it lives, its words are in `err`."""
 
-    def __init__(self, config, *words, env=None):
+    def __init__(self, config, *words, env=None, before=()):
         self.err = config.with_suffix(".err")
         self.folder = config.parent
         with self.err.open("w") as err:
             self.process = subprocess.Popen(
-                [*TAGVIO, "daemon", "--config", str(config), *words],
+                [*before, *TAGVIO, "daemon", "--config", str(config), *words],
                 stderr=err, stdout=subprocess.PIPE, text=True, env={**os.environ, **(env or {})},
             )  # fmt: skip
 

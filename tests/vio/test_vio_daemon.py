@@ -111,7 +111,7 @@ def check_poses(live):
     usec = np.array([m.usec for m in poses])
     assert (np.diff(usec) > 0).all(), "no pose twice"
     rate = (len(usec) - 1) / (usec[-1] - usec[0]) * 1e6
-    assert 15.0 < rate < 32.0
+    assert 10.0 < rate < 32.0
 
 
 def check_sent(log, live):

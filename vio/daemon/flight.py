@@ -19,7 +19,7 @@ from vio.daemon.meter import Meter
 from vio.daemon.notify import Systemd
 from vio.daemon.prepare import Parts
 from vio.daemon.recorder import Recorder
-from vio.daemon.status import Rates, Status
+from vio.daemon.status import Rates, Status, cpu_by_thread
 from vio.daemon.worker import Detection
 from vio.mavlink.bridge import Bridge
 from vio.mavlink.latency import Ages
@@ -72,11 +72,14 @@ class Flight:
         if recorder is not None:
             bridge.watch(recorder.sent)
 
-    def fly(self) -> RunResult:
-        """The loop, until the events end or stop says so."""
+    def ready(self) -> None:
+        """Start what stands between the sources and the loop."""
         if self.recorder is not None:
             self.recorder.start()
         self.detection.start()
+
+    def fly(self) -> RunResult:
+        """The loop, until the events end or stop says so."""
         gc.freeze()  # what is loaded stays: looking through it again costs up to 0.1 s a time
         sinks = [] if self.recorder is None else [self.recorder]
         return run(
@@ -137,6 +140,7 @@ class Flight:
             "rates_hz": hz,
             "latency_ms": latency,
             "timing_ms": self._timing(),
+            "cpu": self._cpu(rates, now_s),
             "sigma": sigma,
             "recording": None if self.recorder is None else self._recording(self.recorder),
             "counters": self._counters(),
@@ -147,6 +151,12 @@ class Flight:
         """By stage; loop: all that the loop does with a frame whose tags are known."""
         timing = {**self._watch.summary(), **self.detection.watch.summary()}
         return {"loop" if stage == "total" else stage: ms for stage, ms in timing.items()}
+
+    def _cpu(self, rates: Rates, now_s: float) -> dict[str, float]:
+        """Share of a core that each thread takes; MainThread is the loop."""
+        ticks = {name: round(1e3 * s) for name, s in cpu_by_thread().items()}
+        share = {n: 1e-3 * rates.per_second(f"cpu {n}", ms, now_s) for n, ms in ticks.items()}
+        return {name: round(part, 3) for name, part in sorted(share.items())}
 
     def _recording(self, recorder: Recorder) -> dict[str, str | None]:
         return {"folder": recorder.path, "stopped": recorder.stopped}

@@ -35,7 +35,7 @@ from vio.warmup import warm_up
 
 LOG = logging.getLogger("vio.daemon")
 _LOOK_S = 0.25
-_LEAD_NS = 300_000_000  # between the decision to play a log and its first event
+_LEAD_NS = 1_500_000_000  # to the first event of a log: the detector gets ready meanwhile
 _REPLAY_WAIT_S = 10.0
 
 
@@ -100,9 +100,10 @@ def _taker(flight: Flight, config: Config) -> Callable[[ImuSample], None]:
 
 def _fly(flight: Flight, camera: LiveCamera, systemd: Systemd, file: Path | None) -> RunResult:
     status = start_status(flight, file, systemd)
-    camera.start()
-    flight.ends_with(camera.ended)
     try:
+        flight.ready()
+        camera.start()
+        flight.ends_with(camera.ended)
         return flight.fly()
     finally:
         systemd.tell("STOPPING=1")
@@ -178,6 +179,7 @@ def replay(
         clock = FlightClock(first, time.monotonic_ns() + _LEAD_NS, speed)
         flight = Flight(parts, bridge, stop, None, clock, [])
         player = Player(log, flight.events, flight.latest, flight.meter, each_frame)
+        flight.ready()
         status = start_status(flight, None, Systemd({}))
         cpu, start = time.process_time(), time.monotonic()
         player.start(clock)

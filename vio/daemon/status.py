@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -36,6 +37,20 @@ class Rates:
         """How long a count has not grown; None: it never did."""
         grew = self._grew.get(name)
         return None if grew is None else now_s - grew
+
+
+def cpu_by_thread() -> dict[str, float]:
+    """CPU time that each thread of Python's has used so far [s], by its name."""
+    spent: dict[str, float] = {}
+    for thread in threading.enumerate():
+        try:
+            text = Path(f"/proc/self/task/{thread.native_id}/stat").read_text()
+        except OSError:  # it has ended, or this is no Linux
+            continue
+        fields = text.rpartition(")")[2].split()
+        ticks = int(fields[11]) + int(fields[12])
+        spent[thread.name] = spent.get(thread.name, 0.0) + ticks / os.sysconf("SC_CLK_TCK")
+    return spent
 
 
 class Status:

@@ -10,6 +10,8 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
+
 from tagvo.errors import TagvoError
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
@@ -30,7 +32,9 @@ class Detection:
         self._thread = threading.Thread(target=self._live, name="detection", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Make the detector ready by a grey image, so that the first frame does not wait; begin."""
+        width, height = self._vo.camera.resolution
+        self._vo.detect(Frame(0, np.full((height, width), 128, dtype=np.uint8)))
         self._thread.start()
 
     def join(self, timeout_s: float | None = None) -> None:

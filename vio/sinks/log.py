@@ -134,12 +134,14 @@ class LogWriter:
         self._files.clear()
 
     def _tags(self, t_ns: int, found: Detections) -> None:
-        for i in range(len(found)):
-            row = (
-                f"{t_ns},{found.tag_id[i]},{_exact(found.corners_px[i].ravel())},"
-                f"{found.hamming[i]},{_exact([found.margin[i]])},{_exact(found.sigma_px[i])}"
-            )
-            self._row(_CAM / "detections.csv", "detections", row)
+        """The rows of one frame, all in one write."""
+        rows = [
+            f"{t_ns},{found.tag_id[i]},{_exact(found.corners_px[i].ravel())},"
+            f"{found.hamming[i]},{_exact([found.margin[i]])},{_exact(found.sigma_px[i])}"
+            for i in range(len(found))
+        ]
+        if rows:
+            self._row(_CAM / "detections.csv", "detections", "\n".join(rows))
 
     def _row(self, name: Path, kind: str, row: str) -> None:
         self._append(name, _HEADERS[kind], row)
@@ -163,7 +165,8 @@ def _numbers(values: "Array | list[float]", digits: int) -> str:
 
 def _exact(values: "Array | list[float]") -> str:
     """As few digits as give the same number again; blank where it is not known."""
-    return ",".join("" if value != value else repr(float(value)) for value in values)
+    numbers = np.asarray(values, dtype=float).tolist()
+    return ",".join("" if value != value else repr(value) for value in numbers)
 
 
 def _write_png(path: Path, image: "np.ndarray[tuple[int, ...], np.dtype[np.uint8]]") -> None:
