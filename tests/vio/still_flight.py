@@ -65,6 +65,12 @@ def write_config(folder, port, *, rate_hz=20.0, name="daemon.yaml", **changes):
     return path
 
 
+def limit_s(seconds):
+    """The time that is allowed; four times as much on a machine that has more to do than it can."""
+    busy = os.getloadavg()[0] > 1.5 * os.cpu_count()
+    return 4.0 * seconds if busy else seconds
+
+
 class Daemon:
     """`tagvio daemon` as a process; within `with` it lives, its words are in `err`."""
 

@@ -1,6 +1,5 @@
 """One flight: threads at the edges, the one loop between them, and an orderly end."""
 
-import gc
 import logging
 import threading
 import time
@@ -80,7 +79,6 @@ class Flight:
 
     def fly(self) -> RunResult:
         """The loop, until the events end or stop says so."""
-        gc.freeze()  # what is loaded stays: looking through it again costs up to 0.1 s a time
         sinks = [] if self.recorder is None else [self.recorder]
         return run(
             self.events, self._loop_vo, [VoArm(self._camera), self.arm], self._watch,
