@@ -108,7 +108,7 @@ class TagVO:
     def trace(self, frame: Frame, prior: PosePrior | None = None) -> Trace:
         """The pose of the camera at this frame with every intermediate."""
         cfg, lap = self.config, self._lap
-        found = self._detect(frame)
+        found = self.detect(frame)
         lap("detect")
         det, rows, counts = filter_detections(
             found, self.tag_map, cfg.filters, self.camera.resolution
@@ -142,7 +142,7 @@ class TagVO:
             joint, pose, None if pose else reason,
         )  # fmt: skip
 
-    def _detect(self, frame: Frame) -> Detections:
+    def detect(self, frame: Frame) -> Detections:
         """Tags of a frame that brings its own, or found in its image with a sigma each corner."""
         if frame.detections is not None:
             return frame.detections

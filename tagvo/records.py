@@ -59,13 +59,15 @@ class Frame:
 
     t_ns: middle of the exposure in the camera's clock, uncorrected; image (h, w) or (h, w, 3)
     uint8, or None; detections: used in place of the image where given; arrival_ns: when the frame
-    was known, in the clock of the consumer; None: at its stamp.
+    was known, in the clock of the consumer; None: at its stamp; received_ns: when its image came
+    from the camera, before its tags were known; None: at arrival_ns.
     """
 
     t_ns: int
     image: np.ndarray[tuple[int, ...], np.dtype[np.uint8]] | None = None
     detections: Detections | None = None
     arrival_ns: int | None = None
+    received_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -43,6 +43,9 @@ class Estimator(Protocol):
     ) -> Output | None:
         """Take what tagvo made of a frame: its pose (None: there is none) and the tags seen."""
 
+    def ground(self, on_ground: bool) -> None:
+        """Take whether the vehicle stands still on the ground."""
+
 
 def body_output(frame: Frame, measured: PoseMeasurement, camera: Camera) -> Output:
     """The measured camera pose as one of I, its stamp moved to the IMU's clock by the timeshift."""
@@ -75,6 +78,9 @@ class VoArm:
     ) -> Output | None:
         """The pose of I at the capture of this frame."""
         return None if measured is None else body_output(frame, measured, self._camera)
+
+    def ground(self, on_ground: bool) -> None:
+        """VO knows no ground."""
 
 
 class VoFirArm(VoArm):

@@ -9,6 +9,7 @@ from pydantic import BaseModel, field_validator
 from tagvo.config import TagvoConfig, validated
 from tagvo.errors import ConfigError
 from tagvo.textfile import parse_yaml, read_yaml
+from vio.daemon_settings import DaemonConfig
 from vio.mavlink_settings import MavlinkConfig
 from vio.settings import VioConfig
 
@@ -42,6 +43,7 @@ class Config(BaseModel, frozen=True, extra="forbid"):
     vehicle: VehicleConfig = VehicleConfig()
     vio: VioConfig = VioConfig()
     mavlink: MavlinkConfig = MavlinkConfig()
+    daemon: DaemonConfig = DaemonConfig()
 
 
 def load_config(path: Path | None, assignments: Sequence[str] = ()) -> Config:

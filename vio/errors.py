@@ -15,3 +15,11 @@ class EvaluationError(VioError):
 
 class LinkError(VioError):
     """A link to a flight controller cannot be had, or what is at its end is not known."""
+
+
+class SourceError(VioError):
+    """A camera cannot be used as configured."""
+
+
+class CameraLost(SourceError):
+    """A camera gives no images; it may come back."""

@@ -43,6 +43,10 @@ class VioArm:
         self.states[self.estimator.health().state.value] += 1
         return None if nav is None else _output(nav, sample.arrival_ns)
 
+    def ground(self, on_ground: bool) -> None:
+        """On the ground the filter takes a velocity of zero."""
+        self.estimator.ground(on_ground)
+
     def prior(self, t_ns: int) -> PosePrior | None:
         """Where the camera should be at a stamp of its clock."""
         return self.estimator.prior(t_ns)

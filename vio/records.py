@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from tagvo.geometry import Array, IntArray
+from tagvo.geometry import Array, BoolArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,26 +21,38 @@ class ImuSample:
     mean: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """Whether the vehicle stands still on the ground, as known at arrival_ns in the IMU's clock."""
+
+    arrival_ns: int
+    on_ground: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ImuTrack:
     """n IMU samples in the order of their file, which need not be that of time.
 
-    t_ns (n,); gyro_I (n, 3) [rad/s]; accel_I (n, 3) specific force [m/s^2]; arrival_ns (n,).
+    t_ns (n,); gyro_I (n, 3) [rad/s]; accel_I (n, 3) specific force [m/s^2]; arrival_ns (n,);
+    mean (n,) as in ImuSample, None: values at their stamps.
     """
 
     t_ns: IntArray
     gyro_I: Array
     accel_I: Array
     arrival_ns: IntArray
+    mean: BoolArray | None = None
 
     def __len__(self) -> int:
         return len(self.t_ns)
 
     def sample(self, row: int) -> ImuSample:
         """One row as a sample; its arrays are views."""
+        mean = False if self.mean is None else bool(self.mean[row])
         return ImuSample(
-            int(self.t_ns[row]), self.gyro_I[row], self.accel_I[row], int(self.arrival_ns[row])
-        )
+            int(self.t_ns[row]), self.gyro_I[row], self.accel_I[row], int(self.arrival_ns[row]),
+            mean,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 
@@ -11,8 +12,20 @@ from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Frame, PosePrior
 from vio.arms import Estimator, Output
 from vio.evaluate.records import Trajectory
-from vio.records import ImuSample
+from vio.records import Ground, ImuSample
 from vio.stopwatch import Stopwatch
+
+Event = ImuSample | Frame | Ground
+
+
+class Sink(Protocol):
+    """Sees everything that a run takes in and what comes out of it, in order."""
+
+    def event(self, event: Event) -> None:
+        """An event is about to be taken."""
+
+    def output(self, name: str, output: Output) -> None:
+        """An estimator has said something new."""
 
 
 @dataclass(slots=True)
@@ -21,7 +34,8 @@ class RunResult:
 
     outputs by estimator; frames, with_pose, imu: counts; reasons: frames without a pose by cause;
     counters: dropped detections and flags of poses by cause; tags_t_ns, tags_count: tags used in
-    each frame; interrupted: stopped by the user.
+    each frame; interrupted: stopped by the user; keep: gather outputs and tags used, false: counts
+    alone, so that a run may last for ever.
     """
 
     outputs: dict[str, list[Output]] = field(default_factory=dict)
@@ -33,38 +47,49 @@ class RunResult:
     tags_t_ns: list[int] = field(default_factory=list)
     tags_count: list[int] = field(default_factory=list)
     interrupted: bool = False
+    keep: bool = True
 
 
 def run(
-    events: Iterable[ImuSample | Frame],
+    events: Iterable[Event],
     vo: TagVO,
     estimators: Sequence[Estimator],
     watch: Stopwatch,
     each_frame: Callable[[], None] = lambda: None,
     prior: Callable[[int], PosePrior | None] = lambda t_ns: None,
     stop: Callable[[], bool] = lambda: False,
+    sinks: Sequence[Sink] = (),
+    result: RunResult | None = None,
 ) -> RunResult:
     """Feed events in order to tagvo and the estimators; Ctrl-C ends it and keeps what there is.
 
     prior: where the camera should be at a stamp, for tagvo; each_frame: called after every frame;
-    stop: asked before every event, true ends it.
+    stop: asked before every event, true ends it; result: where it gathers, None: a new one.
     """
-    result = RunResult({e.name: [] for e in estimators})
+    result = RunResult() if result is None else result
+    result.outputs.update({e.name: [] for e in estimators})
     try:
         for event in events:
             if stop():
                 result.interrupted = True
                 break
+            for sink in sinks:
+                sink.event(event)
             if isinstance(event, ImuSample):
                 result.imu += 1
                 for estimator in estimators:
-                    _keep(result, estimator, estimator.imu(event))
+                    _keep(result, estimator, estimator.imu(event), sinks)
+                continue
+            if isinstance(event, Ground):
+                for estimator in estimators:
+                    estimator.ground(event.on_ground)
                 continue
             watch.start()
             trace = vo.trace(event, prior(event.t_ns))
             _count(result, trace)
             for estimator in estimators:
-                _keep(result, estimator, estimator.pose(event, trace.pose, trace.observations))
+                said = estimator.pose(event, trace.pose, trace.observations)
+                _keep(result, estimator, said, sinks)
                 watch.lap("filter" if estimator.name == "vio" else "arms")
             watch.stop()
             each_frame()
@@ -73,9 +98,15 @@ def run(
     return result
 
 
-def _keep(result: RunResult, estimator: Estimator, output: Output | None) -> None:
+def _keep(
+    result: RunResult, estimator: Estimator, output: Output | None, sinks: Sequence[Sink]
+) -> None:
     """Keep one output a stamp: at equal times of arrival the later word counts, else the first."""
     if output is None:
+        return
+    for sink in sinks:
+        sink.output(estimator.name, output)
+    if not result.keep:
         return
     outputs = result.outputs[estimator.name]
     if not outputs or outputs[-1].t_ns != output.t_ns:
@@ -94,8 +125,9 @@ def _count(result: RunResult, trace: Trace) -> None:
         used = len(trace.pose.tag_ids)
     elif trace.reason is not None:
         result.reasons[trace.reason] += 1
-    result.tags_t_ns.append(trace.t_ns)
-    result.tags_count.append(used)
+    if result.keep:
+        result.tags_t_ns.append(trace.t_ns)
+        result.tags_count.append(used)
 
 
 def trajectory(name: str, outputs: Sequence[Output]) -> Trajectory:

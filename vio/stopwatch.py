@@ -1,6 +1,7 @@
 """Times the stages of the work from outside: core code reads no clock, it only says `lap`."""
 
 import time
+from collections import deque
 
 import numpy as np
 
@@ -10,8 +11,10 @@ STAGES = ("detect", "tagpose", "select", "fuse", "joint", "filter")
 class Stopwatch:
     """Collects the durations of named stages, frame by frame."""
 
-    def __init__(self) -> None:
-        self._ns: dict[str, list[int]] = {}
+    def __init__(self, keep: int | None = None) -> None:
+        """keep: how many durations of each stage count, the last ones; None: all."""
+        self._ns: dict[str, deque[int]] = {}
+        self._keep = keep
         self._start = self._last = time.perf_counter_ns()
 
     def start(self) -> None:
@@ -21,17 +24,20 @@ class Stopwatch:
     def lap(self, stage: str) -> None:
         """A stage has ended."""
         now = time.perf_counter_ns()
-        self._ns.setdefault(stage, []).append(now - self._last)
+        self._of(stage).append(now - self._last)
         self._last = now
 
     def stop(self) -> None:
         """The frame has ended; its whole duration is `total`."""
-        self._ns.setdefault("total", []).append(time.perf_counter_ns() - self._start)
+        self._of("total").append(time.perf_counter_ns() - self._start)
+
+    def _of(self, stage: str) -> "deque[int]":
+        return self._ns.setdefault(stage, deque(maxlen=self._keep))
 
     def summary(self) -> dict[str, dict[str, float]]:
         """p50 and p99 of each stage that ran [ms], in the order of the pipeline."""
-        stages = [s for s in (*STAGES, "total") if s in self._ns]
-        return {s: _quantiles(np.array(self._ns[s]) * 1e-6) for s in stages}
+        took = {s: np.array(list(self._ns[s])) for s in (*STAGES, "total") if s in self._ns}
+        return {s: _quantiles(ns * 1e-6) for s, ns in took.items()}
 
 
 def _quantiles(ms: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]") -> dict[str, float]:

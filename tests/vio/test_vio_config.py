@@ -38,6 +38,13 @@ def test_arena_yaml_holds_every_key_at_its_default():
     assert load_config(CONFIGS / "arena.yaml") == Config()
 
 
+def test_the_daemons_example_loads_and_names_files_that_are_there():
+    path = CONFIGS / "daemon.yaml"
+    daemon = load_config(path).daemon
+    assert (CONFIGS / daemon.map).is_file()
+    assert (CONFIGS / daemon.calibration).is_file()
+
+
 def test_every_key_of_arena_yaml_has_a_comment():
     lines = (CONFIGS / "arena.yaml").read_text().splitlines()
     bare = [line for line in lines if ":" in line and "#" not in line]

@@ -12,14 +12,14 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tagvo.geometry import Array
 from vio.errors import LinkError
 from vio.health import Health
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec, read_key
-from vio.mavlink.fields import Outgoing
+from vio.mavlink.fields import INFO, WARNING, Outgoing
 from vio.mavlink.saved import Saved, first_counter, load_saved, save
 from vio.mavlink.transport import Peer, Transport, open_transport
 from vio.mavlink.url import check_baud, parse_url
@@ -28,7 +28,9 @@ from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment
 
 LOG = logging.getLogger("vio.mavlink")
+T = TypeVar("T")
 Listener = Callable[[Any, int], None]
+Watcher = Callable[[Outgoing, int], None]
 _BACK_OFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 _LONGEST_S = 0.5  # that the reader waits without looking around
 _DEAF_NS = 10_000_000_000  # a TCP connection over which nothing comes for so long is dead
@@ -57,6 +59,7 @@ class Bridge:
         self._codec = Codec(config.system_id or 1, config.component_id)
         self.counters: Counter[str] = Counter()
         self._listeners: list[Listener] = []
+        self._watchers: list[Watcher] = []
         self._brain, self._writer = threading.Lock(), threading.Lock()
         self._ready = threading.Condition()
         self._transport: Transport | None = None
@@ -77,6 +80,20 @@ class Bridge:
     def listen(self, listener: Listener) -> None:
         """Have a function called with every message and its arrival, in the reader's thread."""
         self._listeners.append(listener)
+
+    def watch(self, watcher: Watcher) -> None:
+        """Have a function called with every message that has left, and when, by who sent it."""
+        self._watchers.append(watcher)
+
+    def asked(self, question: Callable[[Companion], T]) -> T:
+        """The answer to a question about the companion while nothing changes it."""
+        with self._brain:
+            return question(self.companion)
+
+    def say(self, text: str, bad: bool) -> None:
+        """Have the ground station read something; from any thread."""
+        with self._brain:
+            self.companion.say(text, WARNING if bad else INFO)
 
     def start(self) -> None:
         """Open the link and begin; LinkError for what only the user can mend."""
@@ -221,6 +238,8 @@ class Bridge:
                     sent, self._broken = False, True
                     self._wake()
                 self.counters["sent" if sent else "not_sent"] += 1
+                for watcher in self._watchers if sent else ():
+                    watcher(message, now_ns())
 
     def _drop(self) -> None:
         with self._writer:

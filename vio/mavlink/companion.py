@@ -181,6 +181,10 @@ class Companion:
         mute = self._health is not None and now_ns - self._offered_ns > _MUTE_NS
         return fields.CRITICAL if mute else fields.system_status(self._health)
 
+    def say(self, text: str, severity: int) -> None:
+        """Have the ground station read something, when its turn comes."""
+        self._speaker.say(text, severity)
+
     def farewell(self) -> list[Outgoing]:
         """The last words."""
         return self._speaker.at_once("stopped: no more poses", fields.WARNING)

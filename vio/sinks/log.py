@@ -15,20 +15,23 @@ from tagvo.records import Detections, Frame
 from tagvo.tagmap import TagMap, save_map
 from tagvo.textfile import write_atomic
 from vio.errors import LogError
-from vio.records import ImuNoise, ImuSample, Phase
+from vio.records import Ground, ImuNoise, ImuSample, Phase
 
 _CAM = Path("mav0/cam0")
 _TRUTH = Path("mav0/state_groundtruth_estimate0/data.csv")
 _CORNERS = ",".join(f"{axis}_{corner}" for corner in ("tl", "tr", "br", "bl") for axis in "uv")
+_SIGMAS = ",".join(f"sigma_{corner}" for corner in ("tl", "tr", "br", "bl"))
 _HEADERS = {
-    "frames": "#timestamp [ns],filename,arrival_ns",
-    "detections": f"#timestamp [ns],tag_id,{_CORNERS},hamming,decision_margin",
-    "imu": "#timestamp [ns],w_x,w_y,w_z [rad/s],a_x,a_y,a_z [m/s^2],arrival_ns",
+    "frames": "#timestamp [ns],filename,arrival_ns,received_ns",
+    "detections": f"#timestamp [ns],tag_id,{_CORNERS},hamming,decision_margin,{_SIGMAS}",
+    "imu": "#timestamp [ns],w_x,w_y,w_z [rad/s],a_x,a_y,a_z [m/s^2],arrival_ns,mean",
+    "ground": "#timestamp [ns],on_ground",
     "truth": "#timestamp [ns],p_x,p_y,p_z [m],q_w,q_x,q_y,q_z,v_x,v_y,v_z [m/s]",
 }
 _LAYOUT = (  # all that a log may hold: what `replace` removes
     "tagmap.yaml", "camchain-imucam.yaml", "imu.yaml", "config.yaml", "phases.csv",
     "mav0/*/data.csv", "mav0/*/sensor.yaml", "mav0/cam0/detections.csv", "mav0/cam0/data/*.png",
+    "flown/*",
 )  # fmt: skip
 
 
@@ -87,13 +90,19 @@ class LogWriter:
         if frame.detections is not None:
             self._tags(frame.t_ns, frame.detections)
         arrival = frame.t_ns if frame.arrival_ns is None else frame.arrival_ns
-        self._row(_CAM / "data.csv", "frames", f"{frame.t_ns},{name},{arrival}")
+        received = arrival if frame.received_ns is None else frame.received_ns
+        self._row(_CAM / "data.csv", "frames", f"{frame.t_ns},{name},{arrival},{received}")
 
     def imu(self, sample: ImuSample, name: str = "imu0") -> None:
         """A row for an IMU sample in mav0/NAME."""
-        values = _numbers([*sample.gyro_I, *sample.accel_I], 12)
-        row = f"{sample.t_ns},{values},{sample.arrival_ns}"
+        values = _exact([*sample.gyro_I, *sample.accel_I])
+        row = f"{sample.t_ns},{values},{sample.arrival_ns},{int(sample.mean)}"
         self._row(Path("mav0") / name / "data.csv", "imu", row)
+
+    def ground(self, ground: Ground) -> None:
+        """A row for a change between ground and air."""
+        row = f"{ground.arrival_ns},{int(ground.on_ground)}"
+        self._row(Path("mav0/vehicle0/data.csv"), "ground", row)
 
     def truth(self, t_ns: int, p_WI: Array, q_WI: Array, v_WI: Array) -> None:
         """A row of truth; p (3,) [m], q (4,) wxyz, v (3,) [m/s]."""
@@ -106,6 +115,10 @@ class LogWriter:
         write_atomic(
             self.path / "phases.csv", "\n".join(["name,t_start_ns,t_end_ns", *rows]) + "\n"
         )
+
+    def line(self, name: str, row: str, header: str | None = None) -> None:
+        """A line of a file of the caller's own below the log; header: the first line."""
+        self._append(Path(name), header, row)
 
     def sync(self) -> None:
         """Bring every row written so far to the disk itself."""
@@ -121,15 +134,19 @@ class LogWriter:
         self._files.clear()
 
     def _tags(self, t_ns: int, found: Detections) -> None:
-        for i in range(len(found)):
-            margin = found.margin[i]
-            row = (
-                f"{t_ns},{found.tag_id[i]},{_numbers(found.corners_px[i].ravel(), 6)},"
-                f"{found.hamming[i]},{'' if np.isnan(margin) else f'{margin:.3f}'}"
-            )
-            self._row(_CAM / "detections.csv", "detections", row)
+        """The rows of one frame, all in one write."""
+        rows = [
+            f"{t_ns},{found.tag_id[i]},{_exact(found.corners_px[i].ravel())},"
+            f"{found.hamming[i]},{_exact([found.margin[i]])},{_exact(found.sigma_px[i])}"
+            for i in range(len(found))
+        ]
+        if rows:
+            self._row(_CAM / "detections.csv", "detections", "\n".join(rows))
 
     def _row(self, name: Path, kind: str, row: str) -> None:
+        self._append(name, _HEADERS[kind], row)
+
+    def _append(self, name: Path, header: str | None, row: str) -> None:
         """Append a row to a file below the log, opened (with its header) where it is not yet."""
         file = self._files.get(name)
         if file is None:
@@ -137,13 +154,19 @@ class LogWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             fresh = not path.exists()
             file = self._files[name] = path.open("a", encoding="utf-8", buffering=1)
-            if fresh:
-                file.write(_HEADERS[kind] + "\n")
+            if fresh and header is not None:
+                file.write(header + "\n")
         file.write(row + "\n")
 
 
 def _numbers(values: "Array | list[float]", digits: int) -> str:
     return ",".join(f"{float(value):.{digits}f}" for value in values)
+
+
+def _exact(values: "Array | list[float]") -> str:
+    """As few digits as give the same number again; blank where it is not known."""
+    numbers = np.asarray(values, dtype=float).tolist()
+    return ",".join("" if value != value else repr(value) for value in numbers)
 
 
 def _write_png(path: Path, image: "np.ndarray[tuple[int, ...], np.dtype[np.uint8]]") -> None:

@@ -22,9 +22,13 @@ _BY_PATTERN = tuple(
     for kind, stems in _STEMS.items()
 )
 _CORNER = re.compile(r"([uvxy])_?(tl|tr|br|bl)")
+_SIGMA = re.compile(r"sigma_(tl|tr|br|bl)")
 _BY_NAME = {
     "t_ns": ("timestamp", "time", "t", "stamp", "timestamp_ns", "time_ns", "t_ns"),
     "arrival_ns": ("arrival_ns",),  # `arrival` alone may be of any clock: not taken
+    "mean": ("mean",),
+    "on_ground": ("on_ground",),
+    "received_ns": ("received_ns",),
     "tag_id": ("tag_id", "id", "tag"),
     "hamming": ("hamming",),
     "decision_margin": ("decision_margin", "margin"),
@@ -68,6 +72,8 @@ def canonical(cell: str) -> str | None:
         return _NAMED[name]
     if corner := _CORNER.fullmatch(name):
         return ("u" if corner[1] in "ux" else "v") + f"_{corner[2]}"
+    if _SIGMA.fullmatch(name):
+        return name
     for kind, pattern in _BY_PATTERN:
         if match := pattern.fullmatch(name):
             return f"{kind}_{match[1]}"

@@ -25,13 +25,15 @@ _NO_TAGS = Detections.of(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)))
 class FrameSource:
     """The frames of one camera, ready to be offered one by one.
 
-    t_ns (n,), arrival_ns (n,); image_path of each, None: take its corners; corners: by stamp, None
-    where the log has no detections.csv; first_ns: stamp of the camera's first frame, whether
-    offered or not; resolution (width, height) [px] of the calibration.
+    t_ns (n,), arrival_ns (n,); received_ns (n,): when an image came from the camera, before its
+    tags were known; image_path of each, None: take its corners; corners: by stamp, None where the
+    log has no detections.csv; first_ns: stamp of the camera's first frame, whether offered or not;
+    resolution (width, height) [px] of the calibration.
     """
 
     t_ns: IntArray
     arrival_ns: IntArray
+    received_ns: IntArray
     image_path: list[Path | None]
     corners: Mapping[int, Detections] | None
     first_ns: int
@@ -45,10 +47,13 @@ class FrameSource:
         """One frame; None (and counted) where its image cannot be used."""
         t_ns, arrival_ns = int(self.t_ns[row]), int(self.arrival_ns[row])
         path = self.image_path[row]
+        corners = (self.corners or {}).get(t_ns, _NO_TAGS)
         if path is None:
-            corners = (self.corners or {}).get(t_ns, _NO_TAGS)
             return Frame(t_ns, detections=corners, arrival_ns=arrival_ns)
         image = read_image(path)
+        if image is None and self.corners is not None:  # as after a power cut
+            self.tally.count("image_unreadable", f"{path}: no image, its corners are taken")
+            return Frame(t_ns, detections=corners, arrival_ns=arrival_ns)
         if image is None:
             self.tally.count("image_unreadable", f"{path}: no image, frame skipped")
             return None
@@ -58,7 +63,7 @@ class FrameSource:
             text = f"{path}: {width}x{height} pixels, the camera file says {needed}; frame skipped"
             self.tally.count("image_size", text)
             return None
-        return Frame(t_ns, image, arrival_ns=arrival_ns)
+        return Frame(t_ns, image, arrival_ns=arrival_ns, received_ns=int(self.received_ns[row]))
 
 
 def read_image(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]] | None:
@@ -99,9 +104,11 @@ def open_frames(
     tally.count("image_missing", text, int(np.sum(taken & shown & ~usable)))
     rows = np.flatnonzero(taken & shown & usable)
     arrival = _arrivals(frames, table, images, options)
+    received = arrival if frames.received_ns is None else frames.received_ns
     return FrameSource(
         frames.t_ns[rows],
         arrival[rows],
+        received[rows],
         [images[i] for i in rows.tolist()],
         corners,
         int(frames.t_ns[0]),

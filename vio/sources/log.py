@@ -13,9 +13,15 @@ from tagvo.geometry import IntArray
 from tagvo.records import Frame
 from tagvo.tagmap import TagMap, load_map
 from vio.errors import LogError
-from vio.records import ImuNoise, ImuSample, ImuTrack, Phase, Truth
+from vio.records import Ground, ImuNoise, ImuSample, ImuTrack, Phase, Truth
 from vio.sources.frames import FrameSource, open_frames
-from vio.sources.logfiles import read_imu, read_imu_noise, read_phases, read_truth
+from vio.sources.logfiles import (
+    read_ground,
+    read_imu,
+    read_imu_noise,
+    read_phases,
+    read_truth,
+)
 from vio.sources.logoptions import LogOptions, only_tags_of
 from vio.sources.tally import Tally
 
@@ -23,7 +29,9 @@ NEEDS = (
     "a flight log needs tagmap.yaml, camchain-imucam.yaml (or mav0/cam0/sensor.yaml) and"
     " mav0/cam0 with data.csv or detections.csv"
 )
+Event = ImuSample | Frame | Ground
 T = TypeVar("T")
+_GROUND = "mav0/vehicle0/data.csv"
 _TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
 
@@ -31,8 +39,8 @@ _TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 class FlightLog:
     """A flight log, opened and checked; images are read when their turn comes.
 
-    imu, imu_noise, truth, config_path: None where the log has none; t0_ns: the first IMU stamp,
-    without IMU the first frame's: times for --skip and --blackout count from it.
+    imu, imu_noise, truth, config_path: None where the log has none; ground: empty there; t0_ns: the
+    first IMU stamp, without IMU the first frame's: times for --skip and --blackout count from it.
     """
 
     path: Path
@@ -42,6 +50,7 @@ class FlightLog:
     imu_noise: ImuNoise | None
     truth: Truth | None
     phases: tuple[Phase, ...]
+    ground: tuple[Ground, ...]
     config_path: Path | None
     t0_ns: int
     frames: FrameSource
@@ -78,6 +87,7 @@ class FlightLog:
             _optional(path / "imu.yaml", lambda p: read_imu_noise(p, imu)),
             _optional(path / _TRUTH, lambda p: read_truth(p, tally)),
             _optional(path / "phases.csv", lambda p: read_phases(p, tally)) or (),
+            _optional(path / _GROUND, lambda p: read_ground(p, tally)) or (),
             _optional(path / "config.yaml", lambda p: p),
             frames.first_ns if t0_ns is None else t0_ns,
             frames,
@@ -112,16 +122,30 @@ class FlightLog:
         """What a person should know of this log, a line each; grows as `counters` does."""
         return self.tally.warnings
 
-    def events(self) -> Iterator[ImuSample | Frame]:
-        """IMU samples and frames in order of arrival, at equal times IMU first."""
-        n = self.imu_count
+    def events(self) -> Iterator[Event]:
+        """What the log holds in order of arrival, at equal times IMU first, then frames."""
+        return (event for _, event in self._by(self.frames.arrival_ns))
+
+    def as_received(self) -> Iterator[tuple[int, Event]]:
+        """The same, with its times, for those who look for tags themselves: images as they came."""
+        images = np.array([path is not None for path in self.frames.image_path], dtype=bool)
+        return self._by(np.where(images, self.frames.received_ns, self.frames.arrival_ns))
+
+    def _by(self, frame_ns: IntArray) -> Iterator[tuple[int, Event]]:
+        n, frames = self.imu_count, len(self.frames)
         imu_ns = np.zeros(0, dtype=np.int64) if self.imu is None else self.imu.arrival_ns
-        arrival = np.concatenate([imu_ns, self.frames.arrival_ns])
-        for i in np.argsort(arrival, kind="stable").tolist():  # stable: IMU rows stand first
+        ground_ns = np.array([g.arrival_ns for g in self.ground], dtype=np.int64)
+        times = np.concatenate([imu_ns, frame_ns, ground_ns])
+        for i in np.argsort(times, kind="stable").tolist():  # stable: IMU rows stand first
+            event: Event | None
             if i < n and self.imu is not None:
-                yield self.imu.sample(i)
-            elif (frame := self.frames.frame(i - n)) is not None:
-                yield frame
+                event = self.imu.sample(i)
+            elif i < n + frames:
+                event = self.frames.frame(i - n)
+            else:
+                event = self.ground[i - n - frames]
+            if event is not None:
+                yield int(times[i]), event
 
 
 def _check_folder(path: Path) -> Path:

@@ -9,7 +9,7 @@ from tagvo.geometry import Array, IntArray
 from tagvo.records import Detections
 from tagvo.textfile import finite_number, read_yaml
 from vio.errors import LogError
-from vio.records import ImuNoise, ImuTrack, Phase, Truth
+from vio.records import Ground, ImuNoise, ImuTrack, Phase, Truth
 from vio.sources.columns import Layout
 from vio.sources.csvrows import BLANK
 from vio.sources.csvtable import Table, read_table
@@ -20,6 +20,7 @@ _ACCEL = ("accel_x", "accel_y", "accel_z")
 _P, _Q = ("p_x", "p_y", "p_z"), ("q_w", "q_x", "q_y", "q_z")
 _V, _BG, _BA = ("v_x", "v_y", "v_z"), ("bg_x", "bg_y", "bg_z"), ("ba_x", "ba_y", "ba_z")
 _CORNERS = tuple(f"{axis}_{corner}" for corner in ("tl", "tr", "br", "bl") for axis in "uv")
+_SIGMAS = tuple(f"sigma_{corner}" for corner in ("tl", "tr", "br", "bl"))
 
 IMU = Layout(
     "imu",
@@ -27,7 +28,7 @@ IMU = Layout(
     ("t_ns", *_GYRO, *_ACCEL),
     ("t_ns",),
     _GYRO + _ACCEL,
-    more_ints=("arrival_ns",),
+    more_ints=("arrival_ns", "mean"),
 )
 TRUTH = Layout(
     "truth",
@@ -43,7 +44,7 @@ FRAMES = Layout(
     ("t_ns", "filename"),
     ("t_ns",),
     texts=("filename",),
-    more_ints=("arrival_ns",),
+    more_ints=("arrival_ns", "received_ns"),
 )
 DETECTIONS = Layout(
     "detections",
@@ -52,8 +53,10 @@ DETECTIONS = Layout(
     ("t_ns", "tag_id"),
     _CORNERS,
     more_ints=("hamming", "arrival_ns"),
-    more_floats=(("decision_margin",),),
+    more_floats=(("decision_margin",), _SIGMAS),
 )
+GROUND = Layout("ground", "timestamp [ns], on_ground (0 or 1)", ("t_ns", "on_ground"),
+                ("t_ns", "on_ground"))  # fmt: skip
 PHASES = Layout(
     "phases",
     "name, t_start_ns, t_end_ns",
@@ -71,11 +74,15 @@ _NOISE_FIELDS = {  # Kalibr's key -> ours; the densities must be positive
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameList:
-    """The rows of a cam0/data.csv: t_ns (n,), arrival_ns (n,), name of the image file (n)."""
+    """The rows of a cam0/data.csv: t_ns (n,), arrival_ns (n,), name of the image file (n).
+
+    received_ns (n,): when the image came from the camera, None where the file does not say.
+    """
 
     t_ns: IntArray
     arrival_ns: IntArray
     filename: list[str]
+    received_ns: IntArray | None = None
 
     def __len__(self) -> int:
         return len(self.t_ns)
@@ -102,8 +109,9 @@ def read_imu(path: Path, tally: Tally) -> ImuTrack:
     forward = steps[steps > 0]
     gaps = int(np.sum(forward > 5 * np.median(forward))) if len(forward) else 0
     tally.count("imu_gap", f"{path}: a step of more than five times the usual", gaps)
+    mean = table.ints["mean"][rows] == 1 if "mean" in table.ints else None
     return ImuTrack(
-        t_ns, table.stack(_GYRO)[rows], table.stack(_ACCEL)[rows], _arrival(table)[rows]
+        t_ns, table.stack(_GYRO)[rows], table.stack(_ACCEL)[rows], _arrival(table)[rows], mean
     )
 
 
@@ -140,7 +148,11 @@ def read_frame_list(path: Path, tally: Tally) -> FrameList:
     table = read_table(path, FRAMES, tally)
     rows = _first_of_each(table, path, "frames", tally)
     names = [table.texts["filename"][i] for i in rows.tolist()]
-    return FrameList(table.ints["t_ns"][rows], _arrival(table)[rows], names)
+    arrival, received = _arrival(table), None
+    if "received_ns" in table.ints:
+        said = table.ints["received_ns"]
+        received = np.where(said == BLANK, arrival, said)[rows]
+    return FrameList(table.ints["t_ns"][rows], arrival[rows], names, received)
 
 
 def read_detections(path: Path, tally: Tally) -> DetectionTable:
@@ -152,9 +164,17 @@ def read_detections(path: Path, tally: Tally) -> DetectionTable:
         table.stack(_CORNERS).reshape(-1, 4, 2),
         None if hamming is None else np.where(hamming == BLANK, 0, hamming),
         table.floats.get("decision_margin"),
+        table.stack(_SIGMAS) if _SIGMAS[0] in table.floats else None,
     )
     arrival = _arrival(table) if "arrival_ns" in table.ints else None
     return DetectionTable(table.ints["t_ns"], arrival, tags)
+
+
+def read_ground(path: Path, tally: Tally) -> tuple[Ground, ...]:
+    """When the vehicle was known to stand on the ground, or no longer, in the order of the file."""
+    table = read_table(path, GROUND, tally)
+    rows = zip(table.ints["t_ns"].tolist(), table.ints["on_ground"].tolist(), strict=True)
+    return tuple(Ground(t_ns, on == 1) for t_ns, on in rows)
 
 
 def read_phases(path: Path, tally: Tally) -> tuple[Phase, ...]:

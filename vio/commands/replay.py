@@ -1,0 +1,76 @@
+"""`tagvio replay`: a log in real time through the daemon's path into a flight controller."""
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from vio.commands import options as opt
+
+if TYPE_CHECKING:
+    from vio.daemon.fly import Replayed
+
+
+def command(
+    log: opt.LogFolder,
+    connect: str = typer.Option(
+        ..., "--connect", metavar="URL",
+        help="The flight controller: udpin:HOST:PORT, udpout:, tcp:, or serial:DEVICE:BAUD.",
+    ),
+    speed: float = typer.Option(
+        1.0, "--speed", metavar="X", min=0.1, max=10.0, help="Seconds of the log in one of ours."
+    ),
+    config: opt.ConfigFile = None,
+    assignments: opt.Assignments = None,
+    imu: opt.ImuName = "imu0",
+    detections: opt.UseDetections = False,
+) -> None:  # fmt: skip
+    """Play a flight log in real time into a flight controller, as the daemon would fly it.
+
+    Images are looked at live and IMU samples come when the log's did; stamps are mapped to now.
+    The flight controller's own IMU is not asked for. The pose it gets is that of the log: a vehicle
+    that is elsewhere, or moves otherwise, will not believe it. At another speed than 1 velocities
+    are scaled alike.
+    """
+    from vio.commands.daemon import start_log
+    from vio.commands.options import progress
+    from vio.config import load_config
+    from vio.daemon import fly
+    from vio.interrupt import gently
+    from vio.sources.log import FlightLog
+
+    start_log()
+    opened = FlightLog.open(log, imu=imu, use_detections=detections)
+    assigned = [*(assignments or ()), f"mavlink.url={connect}"]
+    loaded = load_config(config or opened.config_path, assigned)
+    with progress(opened.frame_count, "frames") as step, gently() as stop:
+        done = fly.replay(opened, loaded, speed, stop, step)
+        interrupted = stop()
+    for text in opened.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    if done is not None:
+        _report(done)
+    if interrupted:
+        raise typer.Exit(130)
+
+
+def _report(done: "Replayed") -> None:
+    f, result = done.figures, done.result
+    typer.echo(
+        f"{done.frames} frames and {done.imu} IMU samples played; {result.frames} frames looked"
+        f" at, {result.with_pose} with a pose"
+    )
+    if f.latency_ms is None:
+        state = done.status.get("state")
+        typer.echo(f"no pose left: the filter is {state}; counters: {done.status.get('counters')}")
+        return
+    rate = "" if f.rate_hz is None else f" at {f.rate_hz:.1f} a second"
+    typer.echo(f"{f.messages} poses sent{rate}, {f.of_frames} of them at a capture")
+    typer.echo(
+        "frame to message: {:.1f} ms (p99 {:.1f}); ".format(*f.latency_ms)
+        + "stamp against true capture: {:.2f} ms (p99 {:.2f})".format(*f.stamp_error_ms)
+    )
+    typer.echo(f"{100 * done.cpu_share:.0f} % of a core")
+    for stage, ms in done.status.get("timing_ms", {}).items():
+        typer.echo(f"  {stage}: {ms['p50']:.2f} ms (p99 {ms['p99']:.2f})")
+    if done.advice is not None:
+        typer.echo(f"delay to set on the flight controller: {done.advice}")

@@ -1,0 +1,74 @@
+"""The filter's arm that flies: what it says goes to the flight controller, sample by sample."""
+
+from collections.abc import Callable
+from typing import Protocol
+
+from tagvo.pipeline import TagVO
+from tagvo.records import Frame, Observations, PoseMeasurement
+from vio.arms import Output
+from vio.daemon.clock import FlightClock
+from vio.estimator import Estimator
+from vio.filter_arm import VioArm
+from vio.health import Health
+from vio.records import ImuSample, Moment
+
+_COUNT_EVERY = 100  # samples between two looks at the filter's counters
+
+
+class Link(Protocol):
+    """The part of a Bridge that an arm needs."""
+
+    def wanted(self) -> int | None:
+        """The stamp for which a state is wanted besides those at captures."""
+
+    def offer(self, moment: Moment | None, health: Health, captured: bool) -> None:
+        """Take a state of the filter."""
+
+
+class FlightArm(VioArm):
+    """`vio`, and each of its states at a capture (or wanted in between) offered to a link.
+
+    health, counters: the filter's last word on itself, for other threads to read.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        vo: TagVO,
+        corners: bool,
+        link: Link,
+        clock: FlightClock,
+        note: Callable[[int, Health], None] = lambda t_ns, health: None,
+    ) -> None:
+        """note: called with each health that was offered and its moment."""
+        super().__init__(estimator, vo, corners)
+        self.health = estimator.health()
+        self.counters: dict[str, int] = {}
+        self._link, self._clock, self._note = link, clock, note
+        self._samples = 0
+
+    def imu(self, sample: ImuSample) -> Output | None:
+        """The state at this sample; one goes out where the link wants it."""
+        output = super().imu(sample)
+        wanted = self._link.wanted()
+        if wanted is not None:
+            self._offer(self._clock.to_log(wanted), False)
+        self._samples += 1
+        if self._samples % _COUNT_EVERY == 0:
+            self.counters = self.estimator.counters
+        return output
+
+    def pose(
+        self, frame: Frame, measured: PoseMeasurement | None, seen: Observations | None = None
+    ) -> Output | None:
+        """Fuse a frame; the state at its capture goes out."""
+        output = super().pose(frame, measured, seen)
+        self._offer(frame.t_ns, True)
+        return output
+
+    def _offer(self, t_ns: int, captured: bool) -> None:
+        moment = self.estimator.moment(t_ns)
+        self.health = self.estimator.health()
+        mapped = None if moment is None else self._clock.moment(moment)
+        self._link.offer(mapped, self.health, captured)
+        self._note(t_ns, self.health)

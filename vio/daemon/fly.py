@@ -1,0 +1,210 @@
+"""`tagvio daemon` and `tagvio replay` without their words: what each puts together and runs."""
+
+import gc
+import logging
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from vio.config import Config
+from vio.daemon.clock import FlightClock
+from vio.daemon.flight import Counters, Flight, start_status
+from vio.daemon.ground import GroundJudge
+from vio.daemon.notify import Systemd
+from vio.daemon.player import Player
+from vio.daemon.prepare import (
+    Parts,
+    check_recording,
+    imu_in_body,
+    new_recording,
+    read_parts,
+)
+from vio.daemon.recorder import Recorder
+from vio.errors import LinkError, LogError
+from vio.mavlink.bridge import Bridge
+from vio.records import Ground, ImuSample
+from vio.run import RunResult
+from vio.sources.live_camera import LiveCamera
+from vio.sources.live_grab import Grabber, open_camera
+from vio.sources.live_imu import MavlinkImu
+from vio.sources.log import FlightLog
+from vio.warmup import warm_up
+
+LOG = logging.getLogger("vio.daemon")
+_LOOK_S = 0.25
+_SWITCH_S = 1e-3
+_LEAD_NS = 1_500_000_000  # to the first event of a log: the detector gets ready meanwhile
+_REPLAY_WAIT_S = 10.0
+
+
+def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | None:
+    """Fly with a configuration (of the file at path) until stop; None: stopped before it began.
+
+    Everything is checked before anything is sent; raises in one line what only the user can mend.
+    """
+    parts, bridge, open_it = check(config, path)
+    where = path.parent
+    warm_up(parts.camera, config.tagvo, config.vio)
+    _settle()
+    systemd = Systemd()
+    with _link(bridge):
+        systemd.tell("READY=1", "STATUS=waiting for the flight controller")
+        if not _met(bridge, config.daemon.vehicle_wait_s, stop, systemd):
+            return None
+        recorder = _recorder(parts, where, bridge)
+        counters: Counters = []
+        flight = Flight(parts, bridge, stop, recorder, FlightClock(), counters)
+        imu = MavlinkImu(bridge.companion, imu_in_body(config)[0], _taker(flight, config))
+        camera = LiveCamera(open_it, flight.see, bridge.say)
+        counters += [imu.counters, camera.counters]
+        bridge.listen(imu.heard)
+        return _fly(flight, camera, systemd, _status_file(config, where))
+
+
+def _settle() -> None:
+    """What is loaded stays: the collector need not look through it again, up to 0.1 s a time.
+
+    And no thread of Python's keeps another waiting for long.
+    """
+    gc.freeze()
+    sys.setswitchinterval(_SWITCH_S)
+
+
+def check(config: Config, path: Path) -> tuple[Parts, Bridge, Callable[[], Grabber]]:
+    """All that a flight needs, looked at and opened where it can be; nothing is sent."""
+    parts, where = read_parts(config, path), path.parent
+    bridge = Bridge(config.mavlink, *imu_in_body(config))
+    open_it = partial(open_camera, config.daemon.camera, parts.camera.resolution, where)
+    open_it().close()
+    check_recording(config, where)
+    return parts, bridge, open_it
+
+
+def _recorder(parts: Parts, where: Path, bridge: Bridge) -> Recorder | None:
+    try:
+        writer = new_recording(parts, where)
+    except OSError as err:  # a full disk is no reason to stay on the ground
+        LOG.warning("%s; this flight is not recorded", err)
+        bridge.say("not recording: disk", True)
+        return None
+    if writer is None:
+        return None
+    LOG.info("recording to %s", writer.path)
+    return Recorder(writer, parts.config.daemon.record, bridge.say)
+
+
+def _taker(flight: Flight, config: Config) -> Callable[[ImuSample], None]:
+    """What becomes of each IMU sample: an event, and a word on the ground beside it."""
+    judge, vehicle = GroundJudge(config.vio), flight.bridge.companion.vehicle
+
+    def take(sample: ImuSample) -> None:
+        flight.events.put(sample)
+        stands = judge.take(sample, vehicle.armed)
+        if stands is not None:
+            flight.events.put(Ground(sample.arrival_ns, stands))
+
+    return take
+
+
+def _fly(flight: Flight, camera: LiveCamera, systemd: Systemd, file: Path | None) -> RunResult:
+    status = start_status(flight, file, systemd)
+    try:
+        flight.ready()
+        camera.start()
+        flight.ends_with(camera.ended)
+        return flight.fly()
+    finally:
+        systemd.tell("STOPPING=1")
+        camera.stop(0.2)
+        flight.end()
+        status.stop()
+        systemd.close()
+
+
+def _status_file(config: Config, where: Path) -> Path | None:
+    file = config.daemon.status_file
+    return None if file is None else where / Path(file).expanduser()
+
+
+@contextmanager
+def _link(bridge: Bridge) -> Iterator[None]:
+    """The bridge, started; it is stopped whatever happens."""
+    try:
+        bridge.start()
+        yield
+    finally:
+        bridge.stop()
+
+
+def _met(bridge: Bridge, patience_s: float, stop: Callable[[], bool], systemd: Systemd) -> bool:
+    """Wait for the vehicle; false: told to stop. LinkError where none comes in time."""
+    until = time.monotonic() + patience_s
+    while not stop():
+        left = until - time.monotonic()
+        try:
+            bridge.wait_for_vehicle(min(_LOOK_S, max(left, 0.01)))
+            return True
+        except LinkError:
+            if left <= 0.0 or bridge.companion.vehicle.fault is not None:
+                raise
+        systemd.tell("WATCHDOG=1")
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """What a replay came to: what was played, the run, its last status, its share of a core."""
+
+    frames: int
+    imu: int
+    result: RunResult
+    status: dict[str, Any]
+    figures: Any
+    cpu_share: float
+    advice: str | None
+
+
+def replay(
+    log: FlightLog,
+    config: Config,
+    speed: float,
+    stop: Callable[[], bool],
+    each_frame: Callable[[], None] = lambda: None,
+) -> Replayed | None:
+    """Play a log into the flight controller at the end of config.mavlink; None: stopped early."""
+    if log.imu is None:
+        raise LogError(f"{log.path}: no IMU; the filter that flies needs mav0/imu0/data.csv")
+    parts = Parts(config, log.tag_map, log.camera, log.imu_noise, {})
+    link = config.mavlink.model_copy(
+        update={"imu": config.mavlink.imu.model_copy(update={"message": "none"})}
+    )
+    bridge = Bridge(link, *imu_in_body(config))
+    warm_up(log.camera, config.tagvo, config.vio)
+    _settle()
+    with _link(bridge):
+        if not _met(bridge, _REPLAY_WAIT_S, stop, Systemd({})):
+            return None
+        first = min(int(log.imu.arrival_ns.min()), int(log.frames.received_ns.min()))
+        clock = FlightClock(first, time.monotonic_ns() + _LEAD_NS, speed)
+        flight = Flight(parts, bridge, stop, None, clock, [])
+        player = Player(log, flight.events, flight.latest, flight.meter, each_frame)
+        flight.ready()
+        status = start_status(flight, None, Systemd({}))
+        cpu, start = time.process_time(), time.monotonic()
+        player.start(clock)
+        flight.ends_with(player.ended)
+        try:
+            result = flight.fly()
+        finally:
+            share = (time.process_time() - cpu) / (time.monotonic() - start)
+            player.stop()
+            advice = bridge.asked(lambda companion: companion.delay_advice())
+            flight.end()
+            status.stop()
+    figures = flight.meter.figures()
+    return Replayed(player.frames, player.imu, result, status.latest, figures, share, advice)
