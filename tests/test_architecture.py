@@ -52,7 +52,7 @@ VIO = (
     {"estimator", "arms", "warmup"},
     {"filter_arm"},
     {"sources", "sinks", "mavlink", "sim", "evaluate"},
-    {"run", "doctor"},
+    {"run", "doctor", "sitl"},
     {"config"},
     {"commands"},
     {"cli"},
