@@ -54,7 +54,7 @@ VIO = (
     {"estimator", "arms", "warmup"},
     {"filter_arm"},
     {"sources", "sinks", "mavlink", "sim", "evaluate"},
-    {"run"},
+    {"run", "doctor", "sitl"},
     {"config"},
     {"daemon"},
     {"commands"},

@@ -2,6 +2,7 @@
 
 import numpy as np
 from fc_autopilot import Autopilot
+from fc_params import ARDUPILOT
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 MAX_LAG_NS, LOOPS = 500_000_000, 100
@@ -30,6 +31,7 @@ class JitterCorrection:
 
 class ArduPilot(Autopilot):
     kind = 3
+    PARAMS = ARDUPILOT
     LOOP_US = 2500  # 400 Hz
     VISO_DELAY_MS, VISO_POS_M_NSE, VISO_YAW_M_NSE, VISO_QUAL_MIN = 60, 0.1, 0.1, 0
     GATE = 5.0
@@ -76,6 +78,17 @@ class ArduPilot(Autopilot):
             return 2
         self.streams[message_id] = round(interval_us * 1000)
         return 0
+
+    def requested(self, message_id, t_ns):
+        if message_id == 193:
+            self.send(m.MAVLink_ekf_status_report_message(self.flags(t_ns), 0, 0, 0, 0, 0))
+            return 0
+        return super().requested(message_id, t_ns)
+
+    def flags(self, t_ns):
+        """ATT, and with vision VELH VELV POSREL POSABS POSVABS PRED*; else CONST_POS."""
+        fresh = self.aiding and t_ns - self.fused_ns < 7 * 10**9
+        return 1 + 2 + 4 + 8 + 16 + 32 + 256 + 512 if fresh else 1 + 128
 
     # vision
 

@@ -18,6 +18,7 @@ class Autopilot:
     """
 
     kind = None
+    PARAMS = None  # name: (value, MAV_PARAM_TYPE)
 
     def __init__(self, vehicle, rng, boot_ns=0, drift=0.0, wander=None, system=SYSTEM):
         self.vehicle, self.rng, self.system = vehicle, rng, system
@@ -27,6 +28,8 @@ class Autopilot:
         self.parser.robust_parsing = True
         self.target, self.armed = None, False
         self.words = []
+        self.params = dict(self.PARAMS)
+        self.deaf_to = set()  # names of messages that get lost
         self.boot(boot_ns)
 
     def boot(self, t_ns):
@@ -58,6 +61,8 @@ class Autopilot:
         for message in self.parser.parse_buffer(data) or ():
             name = message.get_type()
             self.heard.setdefault(name, []).append((t_ns, message))
+            if name in self.deaf_to:
+                continue
             handler = getattr(self, f"on_{name.lower()}", None)
             if handler is not None:
                 handler(message, t_ns)
@@ -98,10 +103,49 @@ class Autopilot:
         result = 3
         if message.command == 511:
             result = self.interval(int(message.param1), message.param2)
-        elif message.command == 512 and message.param1 == 49:
-            result = 4 if self.origin is None else 0
-            self.echo_origin()
+        elif message.command == 512:
+            result = self.requested(int(message.param1), t_ns)
         self.send(m.MAVLink_command_ack_message(message.command, result))
+
+    def requested(self, message_id, t_ns):
+        """Send one message at once; the MAV_RESULT."""
+        if message_id == 49 and self.origin is not None:
+            self.echo_origin()
+            return 0
+        return 4
+
+    # parameters
+
+    def on_param_request_read(self, message, t_ns):
+        names = sorted(self.params)
+        index, name = message.param_index, message.param_id.rstrip("\0")
+        if 0 <= index < len(names):
+            self.send_param(names[index])
+        elif index == -1 and name in self.params:
+            self.send_param(name)  # about others it says nothing
+
+    def on_param_request_list(self, message, t_ns):
+        for name in sorted(self.params):
+            self.send_param(name)
+
+    def on_param_set(self, message, t_ns):
+        name = message.param_id.rstrip("\0")
+        if name in self.params:
+            kind = self.params[name][1]
+            self.params[name] = (self.from_wire(message.param_value, kind), kind)
+            self.send_param(name)
+
+    def send_param(self, name):
+        value, kind = self.params[name]
+        index = sorted(self.params).index(name)
+        wire = self.to_wire(value, kind)
+        self.send(m.MAVLink_param_value_message(name.encode(), wire, kind, len(self.params), index))
+
+    def to_wire(self, value, kind):
+        return float(value)
+
+    def from_wire(self, value, kind):
+        return value
 
     def due(self, message_id, t_ns):
         """Whether a stream is due at this true time; it then counts as sent."""

@@ -1,7 +1,10 @@
 """An in-test PX4: TIMESYNC with its convergence, intervals, gates, frames, arming as EKF2 does."""
 
+import struct
+
 import numpy as np
 from fc_autopilot import Autopilot
+from fc_params import PX4
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 GOOD, MAX_RTT_NS, MAX_DEVIATION_NS, BAD_IN_A_ROW = 500, 10_000_000, 100_000_000, 10
@@ -39,6 +42,8 @@ class Timesync:
 
 class Px4(Autopilot):
     kind = 12
+    PARAMS = PX4
+    ASKS = True  # for TIMESYNC: not where the port is in mode normal
     IMU_NS = 4_000_000  # 250 Hz
     EV_DELAY_MS, EVP_NOISE, EVA_NOISE, EV_QMIN, EV_YAW = 0, 0.05, 0.05, 0, True
     GATE, RESETS_IN_AIR = 5.0, 5
@@ -62,7 +67,7 @@ class Px4(Autopilot):
             self.timesync.answered(message.ts1, message.tc1, self.clock(t_ns))
 
     def loop(self, t_ns):
-        if t_ns - self.asked_ns >= 10**8:
+        if self.ASKS and t_ns - self.asked_ns >= 10**8:
             self.asked_ns = t_ns
             self.send(m.MAVLink_timesync_message(0, self.clock(t_ns)))
         if t_ns - self.imu_ns < self.IMU_NS:
@@ -81,6 +86,25 @@ class Px4(Autopilot):
         if message_id in (30, 105):
             self.streams[message_id] = round(interval_us * 1000)
         return 0  # SCALED_IMU2 too, and nothing comes
+
+    def requested(self, message_id, t_ns):
+        if message_id == 230:
+            self.send(m.MAVLink_estimator_status_message(0, self.flags(t_ns), *[0] * 8))
+            return 0
+        return super().requested(message_id, t_ns)
+
+    def flags(self, t_ns):
+        """VELH and POSREL with vision, POSABS with an origin too."""
+        if not self.loop_aiding(t_ns):
+            return 1
+        return 1 + 2 + 4 + 8 + 32 + (0 if self.origin is None else 16)
+
+    def to_wire(self, value, kind):
+        """PX4 puts a whole number's bits into the place of the float."""
+        return struct.unpack("<f", struct.pack("<i", value))[0] if kind == 6 else float(value)
+
+    def from_wire(self, value, kind):
+        return struct.unpack("<i", struct.pack("<f", value))[0] if kind == 6 else value
 
     # vision
 

@@ -138,14 +138,21 @@ class Bridge:
         if unsaved or sooner:
             self._wake()
 
-    def stop(self) -> None:
-        """End the thread and give the link back; within a second."""
+    def send(self, messages: list[Outgoing]) -> None:
+        """Send these besides, such as questions for parameters."""
+        self._send(messages)
+
+    def stop(self, farewell: bool = True) -> None:
+        """End the thread and give the link back; within a second.
+
+        farewell: tell the ground station that no more poses come.
+        """
         if self._stop.is_set():
             return
-        if self._thread.is_alive():
+        if farewell and self._thread.is_alive():
             with self._brain:
-                farewell = self.companion.farewell()
-            self._send(farewell)
+                last_words = self.companion.farewell()
+            self._send(last_words)
         self._stop.set()
         self._wake()
         if self._thread.ident is not None:

@@ -1,0 +1,39 @@
+"""All rules over all facts: what is wrong, the worst first."""
+
+from vio.doctor import ardupilot, delay, link, ports, px4, rules, state
+from vio.doctor.records import Facts, Finding, Severity
+from vio.mavlink.fields import ARDUPILOT
+
+_ORDER = list(Severity)
+
+
+def check(facts: Facts) -> list[Finding]:
+    """Every finding, errors before warnings before what is good to know."""
+    found = [finding for rule in (*link.RULES, *state.RULES) for finding in rule(facts)]
+    if facts.params:
+        found += rules.check(param_rules(facts.autopilot), facts)
+        found += ports.check(facts)
+        found += delay.check(facts)
+    elif facts.alive:
+        found.append(Finding(Severity.ERROR, "parameters", "no parameter could be read", "nothing"
+                             " that is set could be checked", "try again, or by USB"))  # fmt: skip
+    return sorted(found, key=lambda f: _ORDER.index(f.severity))
+
+
+def param_rules(autopilot: int) -> list[rules.ParamRule]:
+    """The rules on single parameters of an autopilot (MAV_AUTOPILOT)."""
+    return ardupilot.rules() if autopilot == ARDUPILOT else px4.rules()
+
+
+def names(autopilot: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Parameters to read: those that must exist, and all others that a rule looks at."""
+    home = ardupilot if autopilot == ARDUPILOT else px4
+    needed = home.NEEDED
+    more = [name for rule in param_rules(autopilot) for name in rule.names]
+    others = dict.fromkeys([*more, *home.OPTIONAL])
+    return needed, tuple(name for name in others if name not in needed)
+
+
+def failed(findings: list[Finding]) -> bool:
+    """Whether anything is an error."""
+    return any(f.severity is Severity.ERROR for f in findings)
