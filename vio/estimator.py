@@ -23,6 +23,7 @@ from vio.settings import VioConfig
 from vio.start import Rig, begin, dimension, is_still
 from vio.window import Window
 
+_JUDGE_NS = 200_000_000  # how often the calibration is judged
 _SLOTS = 256  # measurements that the window remembers
 _START_NS = 1_500_000_000  # how far back the start looks
 VERDICTS = {
@@ -84,7 +85,7 @@ class Estimator:
         self._waiting: tuple[str, ...] = ("no_imu", "no_pose")
         self._accepted_ns = self._rejects = self._newest_ns = 0
         self._nis = 0.0
-        self._still_ns = 0
+        self._still_ns = self._judged_ns = 0
         self._resets = 0
         self._judge = self._new_judge()
 
@@ -114,8 +115,20 @@ class Estimator:
         w.add_interval(step.t_ns, step.gyro, step.accel, step.scale)
         if self._on_ground and step.t_ns - self._still_ns > self._config.still_every_s * 1e9:
             self._stand_still(step.t_ns)
+        if step.t_ns - self._judged_ns > _JUDGE_NS:
+            self._judge_rig(step.t_ns)
         if waiting:
             self._review()
+
+    def _judge_rig(self, t_ns: int) -> None:
+        """Ask the judge, about a state that nothing late can change: order leaves no trace."""
+        self._judged_ns, w = t_ns, self._window
+        tick = w.at_or_before(t_ns - round(self._config.buffer_s * 1e9))
+        if tick < 0:
+            return
+        for row in self._judge.rows(w.X[tick], w.P[tick]):
+            self._counters["rig_doubted" if row[0] == at.M_OPEN else "rig_confirmed"] += 1
+            self._insert(t_ns - round(w.X[tick, at.X_TD] * 1e9), row)
 
     def pose(self, measured: PoseMeasurement) -> None:
         """Take a camera pose, however late; its stamp is the camera's."""
@@ -247,7 +260,7 @@ class Estimator:
         self._resets += self._started_once
         self._judge = self._new_judge()
         self._started = self._started_once = True
-        self._accepted_ns = self._still_ns = found.t_ns
+        self._accepted_ns = self._still_ns = self._judged_ns = found.t_ns
         for pose in sorted(self._poses, key=lambda p: p.t_ns):
             if pose.t_ns >= poses[0].t_ns:
                 self._insert(pose.t_ns, pose_row(pose))
@@ -272,9 +285,6 @@ class Estimator:
         self._rejects = len(bad)
         nis = w.m_nis[vision[-20:]]
         self._nis = float(np.median(nis)) / 6.0 if nis.size else 0.0
-        for row in self._judge.rows(w.X[w.last], w.P[w.last]):
-            self._counters["rig_doubted" if row[0] == at.M_OPEN else "rig_confirmed"] += 1
-            self._insert(w.now_ns - round(w.X[w.last, at.X_TD] * 1e9), row)
         age = (w.now_ns - self._accepted_ns) * 1e-9
         c = self._config.recovery
         if len(bad) >= c.rejects and age > c.after_s:

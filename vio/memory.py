@@ -63,8 +63,8 @@ def slow_share(x: Array, par: Array, n: int) -> float:
     """
     if n < at.WITH_BIAS:
         return 0.0
-    if par[3] >= 0.0:
-        return min(float(par[3]), _MOST)
+    if par[3] >= 0.0 or par[2] == 0.0:
+        return min(max(float(par[3]), 0.0), _MOST)
     return min(max(_SEEN * (_slow(x) - _LOW), 0.0), _MOST)
 
 
