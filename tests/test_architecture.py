@@ -34,7 +34,7 @@ TAGVO = (
 STAGES = TAGVO[6]
 VIO = (
     {"errors"},
-    {"records", "frames", "stopwatch", "interrupt", "assets", "layout", "settings"},
+    {"records", "frames", "stopwatch", "interrupt", "assets", "layout", "settings", "overrides"},
     {"imu", "memory", "pivot", "intake", "imucheck", "health"},
     {"predicted", "gate", "rig", "clock", "start"},
     {"eskf", "corners"},

@@ -11,3 +11,7 @@ class LogError(VioError):
 
 class EvaluationError(VioError):
     """Two trajectories cannot be compared."""
+
+
+class SimulationError(VioError):
+    """A scenario cannot be flown, or its log cannot be written."""
