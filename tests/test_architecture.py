@@ -233,7 +233,15 @@ def calling(*words: str) -> str:
 
 
 @pytest.mark.parametrize(
-    "words", [(), ("--help",), ("run", "--help"), ("compare", "-h"), ("map", "check", "-h")]
+    "words",
+    [
+        (),
+        ("--help",),
+        ("run", "--help"),
+        ("compare", "-h"),
+        ("simulate", "-h"),
+        ("map", "check", "-h"),
+    ],
 )
 def test_help_loads_nothing_heavy(words):
     loaded = loaded_by(calling(*words))

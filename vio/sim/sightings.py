@@ -1,8 +1,5 @@
 """What a perfect detector would find: exact corners of the tags in view, without an image."""
 
-from collections.abc import Callable
-from typing import TypeAlias
-
 import numpy as np
 from pydantic import Field, NonNegativeFloat
 
@@ -10,10 +7,10 @@ from tagvo import geometry as geo
 from tagvo.camera import Camera, project
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import Detections
+from tagvo.shutter import PoseAt
 from tagvo.tagmap import TagMap, tag_corners
 from vio.sim.model import Model
 
-PoseAt: TypeAlias = Callable[[Array], tuple[Array, Array]]  # times (k,) -> R_WC, p_WC
 _FACE_M = 1e-3  # the camera must be this far before a tag's face
 _ROW_STEPS = 3  # rolling shutter: times at which a corner's row is looked up anew
 
@@ -76,7 +73,7 @@ def _row_by_row(
     height = camera.resolution[1]
     for _ in range(_ROW_STEPS):
         rows = pixels[..., 1].ravel()
-        times = t_s + (rows - 0.5 * (height - 1)) / height * readout_s
+        times = t_s + (rows / (height - 1) - 0.5) * readout_s
         R_WC, p_WC = pose_at(times)
         shape = points_W.shape
         p_C = _seen(R_WC, p_WC, points_W.reshape(-1, 3))

@@ -166,7 +166,7 @@ def test_a_rolling_shutter_sees_each_row_at_its_own_time():
             for _ in range(30):
                 t = 0.5 * (low + high)
                 expected = _pixel(camera, pose_at, t, point)
-                early = t0 + (expected[1] - 239.5) / 480.0 * readout > t
+                early = t0 + (expected[1] / 479.0 - 0.5) * readout > t
                 low, high = (t, high) if early else (low, t)
             assert_allclose(pixel, expected, atol=0.01)
             moved.append(np.abs(pixel - _pixel(camera, pose_at, t0, point)).max())
