@@ -242,6 +242,18 @@ def test_a_disk_that_fills_leaves_a_log_that_can_be_read(tmp_path):
     assert abs((log.imu.t_ns[-1] - log.imu.t_ns[0]) * 1e-9 - spent) < 0.3  # a whole, shorter flight
 
 
+def test_a_disk_that_fills_while_images_are_drawn(tmp_path):
+    """The one that does not fit leaves nothing behind, and the drawing of others ends in order."""
+    out = tmp_path / "log"
+    # an image takes some 200 kB
+    with start(out, *MORE, "--set", "stream.start_s=0", limit_bytes=50_000) as process:
+        _, err = process.communicate(timeout=120)
+    assert process.returncode == 1, err
+    assert "the disk is full" in err
+    assert "Warning" not in err
+    assert not list(out.rglob("*.tmp"))
+
+
 def test_no_room_for_anything(tmp_path):
     with start(tmp_path / "log", "--detections", limit_bytes=1000) as process:
         _, err = process.communicate(timeout=60)

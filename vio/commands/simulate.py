@@ -114,10 +114,13 @@ def _write(
     replace: bool,
 ) -> int:
     """The log, with a bar for who watches; how many frames were written."""
+    from contextlib import closing
+
     from vio.sim.pictures import frames
     from vio.sim.record import write_log
 
     what = "writing corners" if corners else "rendering"
     with opt.progress(len(recording.frames), what) as step, gently() as stop:
-        pictures = frames(recording, scenario, corners=corners, workers=workers)
-        return write_log(out, recording, pictures, text, replace=replace, step=step, stop=stop)
+        drawn = frames(recording, scenario, corners=corners, workers=workers)
+        with closing(drawn) as pictures:
+            return write_log(out, recording, pictures, text, replace=replace, step=step, stop=stop)

@@ -1,6 +1,8 @@
 """Draws the frames of a recording one after the other, two or more at a time, always the same."""
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Generator
+from concurrent.futures import Future, ThreadPoolExecutor
 
 import numpy as np
 
@@ -12,16 +14,26 @@ from vio.sim.sightings import sighted
 
 def frames(
     recording: Recording, scenario: Scenario, *, corners: bool, workers: int, first: int = 0
-) -> Iterator[Frame]:
-    """The frames from the first on in order of exposure, with images or with exact corners."""
+) -> Generator[Frame, None, None]:
+    """The frames from the first on in order of exposure, with images or with exact corners.
+
+    To be closed where it is not used up, so that no image is being drawn any more.
+    """
     rows = range(first, len(recording.frames))
     if corners:
         yield from (_corners(recording, scenario, k) for k in rows)
         return
-    from joblib import Parallel, delayed
-
-    jobs = (delayed(_image)(recording, scenario, k) for k in rows)
-    yield from Parallel(n_jobs=workers, prefer="threads", return_as="generator")(jobs)
+    with ThreadPoolExecutor(workers) as pool:
+        drawn: deque[Future[Frame]] = deque()
+        try:
+            for k in rows:
+                drawn.append(pool.submit(_image, recording, scenario, k))
+                if len(drawn) > 2 * workers:
+                    yield drawn.popleft().result()
+            while drawn:
+                yield drawn.popleft().result()
+        finally:  # closed early: what is being drawn ends, nothing else begins
+            pool.shutdown(cancel_futures=True)
 
 
 def _corners(recording: Recording, scenario: Scenario, k: int) -> Frame:

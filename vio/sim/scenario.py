@@ -79,7 +79,7 @@ def load_scenario(name: str, assignments: Sequence[str] = ()) -> Scenario:
 
 def scenario_path(name: str) -> Path:
     """The file that a name means: a path as it is, else what came with tagvio."""
-    if Path(name).exists() or "/" in name or name.endswith((".yaml", ".yml")):
+    if Path(name).is_file() or "/" in name or name.endswith((".yaml", ".yml")):
         return Path(name)
     names = config_names("scenarios")
     if name not in names:

@@ -118,6 +118,12 @@ def test_a_wrong_scenario_is_told_where(tmp_path, text, says):
         load_scenario(str(path))
 
 
+def test_a_folder_of_a_scenarios_name_is_not_in_its_way(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "clean").mkdir()
+    assert load_scenario("clean").title
+
+
 def test_wrong_names_and_assignments():
     with pytest.raises(ConfigError, match=r"^t9: no such file or scenario; choose one of along"):
         load_scenario("t9")
