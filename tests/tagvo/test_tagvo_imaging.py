@@ -11,6 +11,7 @@ from scenes import (
     LENSES,
     camera_of,
     floor_of,
+    gliding,
     moving,
     picture,
     pixels_of,
@@ -198,11 +199,6 @@ def test_the_blur_that_the_motion_asks_for_is_the_limit_of_many_instants():
     assert np.sqrt(np.mean(error**2)) < 1.5
     few = picture(scene, camera, pose, LensConfig(exposure_s=0.016, sub_exposures=3)) - limit
     assert np.sqrt(np.mean(few**2)) > 3.0 * np.sqrt(np.mean(error**2))
-
-
-def gliding(R_WC, p_WC):
-    """An even motion."""
-    return moving(R_WC, p_WC, (0.5, 0.3, 1.0), (0.8, 0.3, 0.2))
 
 
 def shaking(R_WC, p_WC):
