@@ -55,7 +55,7 @@ def render_frame(
 
 
 class View(NamedTuple):
-    """A camera's pixels, a margin included: rays (h, w, 6), see `paint`; seen (h, w), 0 where the
+    """A camera's pixels, a margin included: rays (h, 6, w), see `paint`; seen (h, w), 0 where the
     lens has no inverse; low, high (2,): range of normalised coordinates; corners_n (k, 2): rays
     spread over the picture."""
 
@@ -85,7 +85,7 @@ def _view(key: _CameraKey) -> View:
     y, x = np.mgrid[:height, :width].astype(float)
     x_n, J, valid = unproject(camera, np.stack([x, y], axis=-1))
     d = np.linalg.inv(np.where(valid[..., None, None], J, np.eye(2))).reshape(height, width, 4)
-    rays = np.concatenate([x_n, d], axis=-1).astype(np.float32)
+    rays = np.ascontiguousarray(np.concatenate([x_n, d], axis=-1).transpose(0, 2, 1), np.float32)
     ends = (
         np.linspace(0, height - 1, 5).astype(int)[:, None],
         np.linspace(0, width - 1, 5).astype(int),
@@ -166,10 +166,10 @@ def _boxes(
 ) -> tuple[IntArray, BoolArray]:
     """x0 x1 y0 y1 [px] of all that patches can cover during the frame, (n, 4); which do, (n,).
 
-    Looked for at the start, the middle and the end; in between the way is nearly straight.
+    Looked for at the start and the end; in between the way is nearly straight.
     """
     R_PW, found = np.swapaxes(patches.R_WP[rows], -1, -2), []
-    for k in sorted({0, len(flown.p_WC) // 2, len(flown.p_WC) - 1}):
+    for k in sorted({0, len(flown.p_WC) - 1}):
         p_PC = np.einsum("nij,nj->ni", R_PW, flown.p_WC[k] - patches.p_WP[rows])
         R_PC = R_PW @ flown.R_WC[k]
         boxes = boxes_in_view(view.camera, (view.low, view.high), R_PC, p_PC, patches.side[rows])
@@ -218,9 +218,9 @@ def _lighting(
         or glare.peak_grey or shadow.darkness_share
     ):  # fmt: skip
         return None
-    y, x = (np.append(np.arange(0, n - 1, _GRID), n - 1) for n in view.rays.shape[:2])
+    y, x = (np.append(np.arange(0, n - 1, _GRID), n - 1) for n in view.seen.shape)
     R, p = flown.pose(rows[y])
-    X_W = _floor_places(view.rays[y[:, None], x, :2].astype(float), R, p)
+    X_W = _floor_places(view.rays[y[:, None, None], [0, 1], x[:, None]].astype(float), R, p)
     factor = scene.light_scale * even_light(light, scene.places, scene.lamps, X_W)
     added = np.zeros_like(factor)
     lit = np.ones((*factor.shape, len(scene.lamps)))
@@ -235,8 +235,7 @@ def _lighting(
 
 def _floor_places(x_n: Array, R_WC: Array, p_WC: Array) -> Array:
     """Where rays x_n (h, w, 2) of rows at their poses (h, 3, 3), (h, 3) meet z = 0; (h, w, 3)."""
-    ray_C = np.concatenate([x_n, np.ones((*x_n.shape[:-1], 1))], axis=-1)
-    ray_W = np.einsum("hij,hwj->hwi", R_WC, ray_C)
+    ray_W = x_n @ np.swapaxes(R_WC[..., :2], 1, 2) + R_WC[:, None, :, 2]
     height = p_WC[:, None, 2]
     meets = ray_W[..., 2] * height < 0.0
     depth = np.where(meets, -height / np.where(meets, ray_W[..., 2], 1.0), _FAR)

@@ -16,9 +16,12 @@ from tagvo.trace import (
     BARE,
     BLACK,
     CELLS,
+    DX,
+    DY,
     MANY,
     OFF,
     POINTS,
+    SEEN,
     U0,
     U1,
     V0,
@@ -28,43 +31,53 @@ from tagvo.trace import (
     Codes,
     Samples,
     Surfaces,
+    cells_met,
     code_met,
     cut_met,
-    inks,
+    cut_samples,
+    depth_traced,
     pixels_ahead,
     poses_of,
     sampled,
-    trace_pixel,
+    trace_row,
 )  # fmt: skip
 
 _FLOOR, _MIXED = -1, -2  # instead of a surface's number
 _NEARER = np.float32(1.0 - 1e-6)
+_WIDER = np.float32(0.55)  # half a pixel and a tenth
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _NOTHING = np.float32(np.inf)
+_NO_BITS, _SHIFT, _TOP = np.uint64(0), np.uint64(1), np.uint64(56)
+_EACH_ONE = np.uint64(0x0101010101010101)  # BLACK in each of eight samples
+_OTHER_BITS = np.uint64(0xFCFCFCFCFCFCFCFC)  # of the codes of objects
 
 
 class _Row(NamedTuple):
     """A row of w pixels as it shows so far.
 
-    who (w,): the surface that fills a pixel, _FLOOR or _MIXED; code, near (w,): its code and
-    depth; codes, depths (w, n): of a mixed pixel's samples; lone (w,): the only surface that is
-    mixed with the floor, its depths not noted yet, or _FLOOR.
+    who (w,): the surface that fills a pixel, _FLOOR or _MIXED; code, near, far (w,): its code, its
+    depth, and a bound of that over the pixel and the exposure. Of mixed pixels: codes, depths
+    (w, n) of the samples; words (w, ceil(n / 8)): the memory of the codes; lone (w,): the only
+    surface mixed with the floor, its depths not noted yet, or _FLOOR.
     """
 
     who: IntArray
     code: Codes
     near: Array32
+    far: Array32
     codes: Codes
+    words: NDArray[np.uint64]
     depths: Array32
     lone: IntArray
 
 
 class _Work(NamedTuple):
-    """Buffers: todo (w,) pixels to be sampled and their traces (w + 2, ...), the last one spare;
-    H, other (p, 10); column, row, depth, ink (n,) of samples; at, place (n,): one buffer."""
+    """Buffers: todo (w,): pixels to be sampled; trace (fields, w), spare (fields, 1); H, other
+    (p, 10); column, row, depth, ink (n,) of samples; at, place (n,): one buffer."""
 
     todo: IntArray
     trace: Array32
+    spare: Array32
     H: Array32
     other: Array32
     column: Array32
@@ -76,69 +89,45 @@ class _Work(NamedTuple):
 
 
 @njit
-def _scan(scene: Surfaces, i: int, rays: Array32, y: int, pixels: _Row, work: _Work) -> int:
-    """Bring surface i into the pixels of row y where it is one colour; list and trace the others.
+def _scan(scene: Surfaces, i: int, pixels: _Row, work: _Work) -> int:
+    """Bring surface i into the traced pixels of a row where it is one colour; list the others.
 
     -> the number of those listed in `todo`.
     """
     cells, first, n, kind = scene.cells, scene.first[i], scene.across[i], scene.kind[i]
-    outline, trace, todo, H = scene.outline[i], work.trace, work.todo, work.H
-    who, code, near = pixels.who, pixels.code, pixels.near
-    middle, m = H.shape[0] // 2, 0
-    h6, h7, h8, h9 = H[middle, 6], H[middle, 7], H[middle, 8], H[middle, 9]
+    outline, trace, todo = scene.outline[i], work.trace, work.todo
+    who, code, near, far = pixels.who, pixels.code, pixels.near, pixels.far
+    points, listed = len(work.H), 0
+    depth = trace[POINTS + 2 * points + points // 2]
     x, last = scene.box[i, 0], scene.box[i, 1]
     while x < last:
-        if not trace_pixel(rays, y, x, H, trace, m):
-            x += 1
-            continue
-        met = code_met(cells, first, n, trace[m, U0], trace[m, U1], trace[m, V0], trace[m, V1])
+        met = OFF
+        if trace[SEEN, x] > _ZERO:
+            met = code_met(cells, first, n, trace[U0, x], trace[U1, x], trace[V0, x], trace[V1, x])
         if kind != CELLS and met != OFF:
-            part = cut_met(kind, outline, n, trace, m)
+            part = cut_met(kind, outline, n, trace, x)
             met = met if part == BARE else part
         if met == MANY:
-            todo[m] = x
-            m += 1
+            lowest = trace[SEEN, x] - _WIDER * (abs(trace[DX, x]) + abs(trace[DY, x]))
+            if who[x] < 0 or lowest < far[x]:
+                todo[listed] = x
+                listed += 1
             x += 1
             continue
         end = x + 1
         if kind == CELLS or met == OFF:
-            end = min(end + pixels_ahead(trace, m, n, met == OFF), last)
-        if met == OFF:
-            x = end
-            continue
+            end = min(end + pixels_ahead(trace, x, n, met == OFF), last)
         while x < end:
-            d = h9 / (h6 * rays[y, x, 0] + h7 * rays[y, x, 1] + h8)
-            if who[x] == _MIXED:
-                if trace_pixel(rays, y, x, H, trace, m):
-                    todo[m] = x
-                    m += 1
-            elif d < near[x] * _NEARER:
-                who[x], code[x], near[x] = i, met, d
+            if met != OFF:
+                if who[x] == _MIXED:
+                    todo[listed] = x
+                    listed += 1
+                elif depth[x] < near[x] * _NEARER:
+                    who[x], code[x], near[x] = i, met, depth[x]
+                    wide = _WIDER * (abs(trace[DX, x]) + abs(trace[DY, x]))
+                    far[x] = depth[x] + (depth[x] - trace[SEEN, x]) + wide
             x += 1
-    return m
-
-
-@njit
-def _note_depths(
-    scene: Surfaces,
-    j: int,
-    rays: Array32,
-    y: int,
-    x: int,
-    at: float,
-    samples: Samples,
-    pixels: _Row,
-    work: _Work,
-) -> None:
-    """Depths of surface j, the only one in a pixel so far, at its samples."""
-    trace, codes, depths = work.trace, pixels.codes, pixels.depths
-    spare = len(trace) - 1
-    poses_of(scene.H, j, samples.time, at, work.other)
-    trace_pixel(rays, y, x, work.other, trace, spare)
-    sampled(trace, spare, 2, len(samples.time), samples, depths[x])
-    for k in range(codes.shape[1]):
-        if codes[x, k] == BARE:
-            depths[x, k] = _NOTHING
+    return listed
 
 
 @njit
@@ -154,55 +143,59 @@ def _mix(
     work: _Work,
 ) -> None:
     """Bring surface i into its listed pixels, sample by sample, the nearest surface first."""
-    n, points, cells_only = scene.across[i], len(samples.time), scene.kind[i] == CELLS
-    trace, todo, u, v, d, ink = (
-        work.trace, work.todo, work.column, work.row, work.depth, work.ink
-    )  # fmt: skip
-    who, code, lone, codes, depths = (
-        pixels.who, pixels.code, pixels.lone, pixels.codes, pixels.depths
-    )  # fmt: skip
+    n, first, kind, cells = scene.across[i], scene.first[i], scene.kind[i], scene.cells
+    trace, todo, cell, place = work.trace, work.todo, work.at, work.place
+    ink, d, outline = work.ink, work.depth, scene.outline[i]
+    who, lone, codes, depths = pixels.who, pixels.lone, pixels.codes, pixels.depths
+    many, H, other, spare, filled = len(ink), scene.H, work.other, work.spare, pixels.code
     for m in range(listed):
         x = todo[m]
-        sampled(trace, m, 0, points, samples, u)
-        sampled(trace, m, 1, points, samples, v)
-        inside = trace[m, U0] >= _ZERO and trace[m, U1] < n
-        inside = inside and trace[m, V0] >= _ZERO and trace[m, V1] < n
-        if who[x] == _FLOOR and inside and cells_only:
-            inks(scene, i, u, v, work.at, work.place, codes[x])
+        cells_met(trace, x, samples, first, n, cell)
+        for k in range(many):
+            ink[k] = cells[place[k]]
+        if kind != CELLS and cut_met(kind, outline, n, trace, x) != BARE:
+            cut_samples(scene, i, trace, x, samples, work.column, work.row, ink)
+        if who[x] == _FLOOR:
+            for k in range(many):
+                codes[x, k] = ink[k]
             who[x], lone[x] = _MIXED, i
             continue
-        inks(scene, i, u, v, work.at, work.place, ink)
-        sampled(trace, m, 2, points, samples, d)
-        if who[x] == _FLOOR:
-            for k in range(len(ink)):
-                codes[x, k] = ink[k]
-                depths[x, k] = _NOTHING if ink[k] == BARE else d[k]
-        else:
-            j = lone[x] if who[x] == _MIXED else who[x]
-            if who[x] != _MIXED:
-                codes[x, :] = code[x]
-            if j != _FLOOR:
-                _note_depths(scene, j, rays, y, x, at, samples, pixels, work)
-            for k in range(len(ink)):
-                if ink[k] != BARE and d[k] < depths[x, k] * _NEARER:
-                    codes[x, k], depths[x, k] = ink[k], d[k]
+        j = lone[x] if who[x] == _MIXED else who[x]
+        if who[x] != _MIXED:
+            for k in range(many):
+                codes[x, k] = filled[x]
+        if j != _FLOOR:  # it was alone, and its depths are not noted
+            poses_of(H, j, samples.time, at, other)
+            depth_traced(rays, y, x, other, spare)
+            sampled(spare, 0, 2, samples, depths[x])
+        sampled(trace, x, 2, samples, d)
+        code, depth = codes[x], depths[x]
+        for k in range(many):  # without branches: no processor could foresee them
+            over = (code[k] == BARE) | (d[k] < depth[k] * _NEARER)
+            takes = (ink[k] != BARE) & over
+            code[k] = ink[k] if takes else code[k]
+            depth[k] = d[k] if takes else depth[k]
         who[x], lone[x] = _MIXED, _FLOOR
 
 
 @njit
-def _mean_of(codes: Codes, x: int, grey: Array32) -> tuple[float, float]:
-    """Grey of what the samples of a pixel met, and their share of the bare floor."""
-    black = white = bare = 0
-    n = codes.shape[1]
-    for k in range(n):
-        black += codes[x, k] == BLACK
-        white += codes[x, k] == WHITE
-        bare += codes[x, k] == BARE
+def _mean_of(
+    codes: Codes, words: NDArray[np.uint64], x: int, n: int, grey: Array32
+) -> tuple[float, float]:
+    """Grey of what the n samples of a pixel met, and their share of the bare floor."""
+    black, white, others = _NO_BITS, _NO_BITS, _NO_BITS
+    for k in range(words.shape[1]):  # eight samples at once; what is beyond n is BARE
+        word = words[x, k]
+        others |= word & _OTHER_BITS
+        black += ((word & _EACH_ONE) * _EACH_ONE) >> _TOP
+        white += (((word >> _SHIFT) & _EACH_ONE) * _EACH_ONE) >> _TOP
+    bare = n - int(black) - int(white)
     total = np.float32(black) * grey[BLACK] + np.float32(white) * grey[WHITE]
-    if black + white + bare < n:
+    if others != _NO_BITS:
+        bare, total = 0, _ZERO
         for k in range(n):
-            if codes[x, k] > WHITE:
-                total += grey[codes[x, k]]
+            bare += int(codes[x, k] == BARE)
+            total += grey[codes[x, k]]
     return float(total / np.float32(n)), float(np.float32(bare) / np.float32(n))
 
 
@@ -212,34 +205,38 @@ def paint(
 ) -> tuple[Array32, Array32]:
     """Grey of what is met, and share of the bare floor, of each pixel; (h, w) each.
 
-    rays (h, w, 6): normalised coordinates of the pixel's centre and their derivatives xu xv yu yv
+    rays (h, 6, w): normalised coordinates of the pixel's centre and their derivatives xu xv yu yv
     by pixel; row_time (h,): middle of each row's exposure [knots]; grey (256,) of each code.
     """
-    height, width = rays.shape[0], rays.shape[1]
+    height, width = rays.shape[0], rays.shape[2]
     n, p = len(samples.x), len(samples.time)
     albedo, bare = np.empty((height, width), np.float32), np.empty((height, width), np.float32)
+    words = np.zeros((width, (n + 7) // 8), np.uint64)
     pixels = _Row(
         np.empty(width, np.int64), np.empty(width, np.uint8), np.empty(width, np.float32),
-        np.empty((width, n), np.uint8), np.empty((width, n), np.float32), np.empty(width, np.int64),
+        np.empty(width, np.float32), words.view(np.uint8), words,
+        np.empty((width, n), np.float32), np.empty(width, np.int64),
     )  # fmt: skip
-    at = np.empty(n, np.int32)
+    at, fields = np.empty(n, np.int32), POINTS + 3 * p
     work = _Work(
-        np.empty(width, np.int64), np.empty((width + 2, POINTS + 3 * p), np.float32),
-        np.empty((p, 10), np.float32), np.empty((p, 10), np.float32), np.empty(n, np.float32),
-        np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.uint8), at,
-        at.view(np.uint32),
+        np.empty(width, np.int64), np.empty((fields, width), np.float32),
+        np.empty((fields, 1), np.float32), np.empty((p, 10), np.float32),
+        np.empty((p, 10), np.float32), np.empty(n, np.float32), np.empty(n, np.float32),
+        np.empty(n, np.float32), np.empty(n, np.uint8), at, at.view(np.uint32),
     )  # fmt: skip
     for y in range(height):
         pixels.who[:], pixels.lone[:] = _FLOOR, _FLOOR
         pixels.code[:], pixels.near[:] = BARE, _NOTHING
-        for i in range(len(scene.box)):
-            if scene.box[i, 2] <= y < scene.box[i, 3]:
-                poses_of(scene.H, i, samples.time, row_time[y], work.H)
-                listed = _scan(scene, i, rays, y, pixels, work)
+        for i in range(len(scene.box) - 1, -1, -1):  # objects first: they hide what is below
+            if not scene.box[i, 2] <= y < scene.box[i, 3]:
+                continue
+            if poses_of(scene.H, i, samples.time, row_time[y], work.H):
+                trace_row(rays, y, scene.box[i, 0], scene.box[i, 1], work.H, work.trace)
+                listed = _scan(scene, i, pixels, work)
                 _mix(scene, i, rays, y, row_time[y], listed, samples, pixels, work)
         for x in range(width):
             if pixels.who[x] == _MIXED:
-                albedo[y, x], bare[y, x] = _mean_of(pixels.codes, x, grey)
+                albedo[y, x], bare[y, x] = _mean_of(pixels.codes, words, x, n, grey)
             else:
                 code = pixels.code[x]
                 albedo[y, x], bare[y, x] = grey[code], _ONE if code == BARE else _ZERO

@@ -14,10 +14,9 @@ from tagvo.bitmaps import tag_bitmap
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.sceneconfig import OccluderConfig
 from tagvo.tagmap import TagMap
-from tagvo.trace import BARE, BLACK, BLOB, CELLS, KNOTS, TORN, WHITE, Codes
+from tagvo.trace import BARE, BLACK, BLOB, CELLS, FIRST_OBJECT, KNOTS, TORN, WHITE, Codes
 
-_FIRST_OBJECT = 3  # code; each object has three: its top, its bright and its dark sides
-_SHADES = np.array([1.0, 0.75, 0.5])
+_SHADES = np.array([1.0, 0.75, 0.5])  # an object's three codes: top, bright and dark sides
 _TEAR_AT = (0.0, 0.22)  # of the half side, from the middle: every family's border is cut
 _TEAR_JAG, _TEAR_RIM = 0.05, 0.02  # of the half side: depth of the jags, width of the bare paper
 _ABOVE_M = 2e-3  # of flat objects over the highest tag below them
@@ -31,7 +30,7 @@ class Patches:
     cells (k,) codes; outline (m, KNOTS + 5).
 
     outline of TORN: profile, then cos, sin and distance of the tear's line, width of its rim,
-    bound of the profile; of BLOB: radii by angle, then three unused, least and largest radius;
+    bound of the profile; of BLOB: radii all around, then three unused, least and largest radius;
     all in half sides.
     """
 
@@ -89,7 +88,7 @@ def _tear(rng: np.random.Generator) -> Array:
 def object_patches(
     config: OccluderConfig, ground: TagMap, rng: np.random.Generator
 ) -> tuple[list[Patches], Array]:
-    """Objects on the ground's tags, and the greys (3 count,) of their codes from 3 on.
+    """Objects on the ground's tags, and the greys (3 count,) of their codes.
 
     They lie within the rectangle of the tags and, as far as there is room, not on one another.
     """
@@ -104,7 +103,7 @@ def object_patches(
         taken.append((spot, reach))
         yaw = geo.exp(np.array([0.0, 0.0, rng.uniform(0.0, 2.0 * np.pi)]))
         base = np.array([*spot, _height_under(ground, spot, reach)])
-        code = _FIRST_OBJECT + 3 * i
+        code = FIRST_OBJECT + 3 * i
         height = config.height_m * rng.uniform(0.7, 1.3)
         outline = _closed_curve(rng)
         if config.height_m > 0.0:
@@ -166,7 +165,9 @@ def _flat(base: Array, R_WO: Array, size: Array, code: int, outline: Array) -> P
 
 def _closed_curve(rng: np.random.Generator) -> Array:
     """Outline of a blob that fills about its rectangle: a circle with a few harmonics."""
-    angle = np.linspace(0.0, 2.0 * np.pi, KNOTS)
+    turn = np.linspace(0.0, 4.0, KNOTS)  # as `tagvo.trace` counts, along a square on its tip
+    x, y = np.abs(turn - 2.0) - 1.0, 1.0 - np.abs(np.mod(turn + 1.0, 4.0) - 2.0)
+    angle = np.arctan2(y, x)
     k = np.arange(2, 8)[:, None]
     amplitude = 0.25 * rng.standard_normal((len(k), 1)) / k
     waves = amplitude * np.cos(k * angle + rng.uniform(0.0, 2.0 * np.pi, (len(k), 1)))

@@ -16,6 +16,7 @@ from tagvo.sceneconfig import LensConfig as LensConfig
 from tagvo.sceneconfig import SceneConfig as SceneConfig
 from tagvo.tagmap import TagMap
 from tagvo.texture import Texture, make_texture
+from tagvo.trace import BLACK, FIRST_OBJECT, WHITE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +47,8 @@ def make_scene(tag_map: TagMap, config: SceneConfig, rng: np.random.Generator) -
     tags = tag_patches(laid, torn, jags)
     objects, greys = object_patches(config.occluders, laid, littering)
     grey = np.zeros(256)
-    grey[1:3] = config.black_grey, config.white_grey
-    grey[3 : 3 + len(greys)] = greys
+    grey[[BLACK, WHITE]] = config.black_grey, config.white_grey
+    grey[FIRST_OBJECT : FIRST_OBJECT + len(greys)] = greys
     places = tag_map.p_WT
     lamps = lamps_over(config.light, places)
     return Scene(

@@ -118,11 +118,11 @@ def motion(seen: Seen, flown: Way, t_s: float, exposure_s: float) -> tuple[float
 
 def wander_px(seen: Seen, flown: Way) -> float:
     """How far what is seen strays in the picture from the straight lines between its places at
-    the start, the middle and the end of the frame [px]."""
-    if len(flown.p_WC) <= 3:
+    the start and the end of the frame [px]."""
+    if len(flown.p_WC) <= 2:
         return 0.0
     px = _ways(seen, flown.R_WC, flown.p_WC)
-    return _bend(px, 2) if px.size else float(max(seen.camera.resolution))
+    return _bend(px, 1) if px.size else float(max(seen.camera.resolution))
 
 
 def _ways(seen: Seen, R_WC: Array, p_WC: Array) -> Array:

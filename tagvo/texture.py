@@ -131,15 +131,15 @@ def _value(levels: Codes, x_m: float, y_m: float, width_m: float) -> float:
 def floor_factor(rays: Array32, bare: Array32, poses: Array32, levels: Codes, out: Array32) -> None:
     """Mean of the texture over the exposure where the floor shows, as a factor, into out (h, w).
 
-    rays (h, w, 6) as in `tagvo.paint`; bare (h, w) share of the floor; poses (h, k, 12): R_WC and
+    rays (h, 6, w) as in `tagvo.paint`; bare (h, w) share of the floor; poses (h, k, 12): R_WC and
     p_WC at the k moments of each row.
     """
     for y in range(rays.shape[0]):
-        for x in range(rays.shape[1]):
+        for x in range(rays.shape[2]):
             if bare[y, x] == 0.0:
                 continue
-            a, b = rays[y, x, 0], rays[y, x, 1]
-            wide = np.sqrt(abs(rays[y, x, 2] * rays[y, x, 5] - rays[y, x, 3] * rays[y, x, 4]))
+            a, b = rays[y, 0, x], rays[y, 1, x]
+            wide = np.sqrt(abs(rays[y, 2, x] * rays[y, 5, x] - rays[y, 3, x] * rays[y, 4, x]))
             total = 0.0
             for k in range(poses.shape[1]):
                 P = poses[y, k]

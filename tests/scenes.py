@@ -50,6 +50,11 @@ def moving(R_WC, p_WC, rate_C=(0.0, 0.0, 0.0), v_W=(0.0, 0.0, 0.0)):
     return lambda t: (R_WC @ geo.exp(t[:, None] * w), p_WC + t[:, None] * v)
 
 
+def gliding(R_WC, p_WC):
+    """An even motion, turning and moving along every axis."""
+    return moving(R_WC, p_WC, (0.5, 0.3, 1.0), (0.8, 0.3, 0.2))
+
+
 def tilted(rotvec=(0.05, -0.08, 0.3)):
     return DOWN @ geo.exp(np.array(rotvec, dtype=float))
 

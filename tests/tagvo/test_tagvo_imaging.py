@@ -11,6 +11,7 @@ from scenes import (
     LENSES,
     camera_of,
     floor_of,
+    gliding,
     moving,
     picture,
     pixels_of,
@@ -68,7 +69,7 @@ def side_points(image, a, b, reach):
 
 
 def fitted_corners(image, camera, near_px, reach):
-    """Corners of a tag's black square: its sides fitted as straight lines in the undistorted view."""
+    """Corners of a tag's black square, normalised: where lines fitted to its sides meet."""
     lines = []
     for k in range(4):
         points = undistorted(camera, side_points(image, near_px[k], near_px[(k + 1) % 4], reach))
@@ -99,10 +100,10 @@ def test_edges_meet_where_the_projection_has_the_corners(model):
 
 @pytest.mark.parametrize("model", LENSES)
 def test_the_detector_finds_corners_within_a_twentieth_of_a_pixel(model):
-    camera, tag_map = camera_of(model, 640, 480), floor_of(12, 0.04, 0.1)
+    camera, tag_map = camera_of(model, 640, 480), floor_of(12, 0.04, 0.086)
     scene, rng, errors = scene_of(tag_map), np.random.default_rng(5), []
     detector = make_detector("apriltag", tag_map.family)
-    for _ in range(3):
+    for _ in range(4):  # small tags: the detector takes sides for straight that the lens bends
         R = tilted(rng.normal(size=3) * [0.12, 0.12, 2.0])
         p = np.array([0.0, 0.0, 0.55]) + 0.05 * rng.normal(size=3)
         found = detector.detect(picture(scene, camera, still(R, p)).astype(np.uint8))
@@ -137,14 +138,16 @@ def test_a_clean_frame_is_what_a_slow_ray_caster_sees(model, rotvec, p_WC):
 
 @pytest.mark.parametrize("model", LENSES)
 def test_a_clean_frame_is_what_the_other_renderer_draws(model):
-    camera, scene = camera_of(model, 640, 480), scene_of(floor_of())
+    camera, scene = camera_of(model), scene_of(floor_of())
     R, p = tilted((0.4, -0.3, 0.7)), np.array([0.02, -0.03, 0.45])
     drawn = render_view(scene.tag_map, camera, R, p, look=LOOK, supersample=8).astype(float)
     error = picture(scene, camera, still(R, p), LensConfig(supersample=12)) - drawn
     assert drawn.std() > 40.0
-    assert np.sqrt(np.mean(error**2)) < 1.2  # a shift by 1/30 px makes 2
-    assert np.abs(error.mean()) < 0.02
+    assert np.sqrt(np.mean(error**2)) < 1.8  # 64 rays leave 1.6
     assert np.abs(error).max() < 30.0  # a slip of a whole cell would be 200
+    slopes = np.stack([g.ravel() for g in np.gradient(drawn)], axis=1)
+    shift_px = np.linalg.lstsq(slopes, error.ravel(), rcond=None)[0]
+    assert np.abs(shift_px).max() < 1e-3
 
 
 def test_the_nearer_surface_is_seen_whatever_the_order():
@@ -196,11 +199,6 @@ def test_the_blur_that_the_motion_asks_for_is_the_limit_of_many_instants():
     assert np.sqrt(np.mean(error**2)) < 1.5
     few = picture(scene, camera, pose, LensConfig(exposure_s=0.016, sub_exposures=3)) - limit
     assert np.sqrt(np.mean(few**2)) > 3.0 * np.sqrt(np.mean(error**2))
-
-
-def gliding(R_WC, p_WC):
-    """An even motion."""
-    return moving(R_WC, p_WC, (0.5, 0.3, 1.0), (0.8, 0.3, 0.2))
 
 
 def shaking(R_WC, p_WC):
@@ -282,12 +280,10 @@ REAL = LensConfig(
 
 def test_the_same_seed_makes_the_same_bytes_in_any_thread():
     camera, pose = camera_of(), shaking(tilted(), HEIGHT)
-
-    def shot(seed):
-        return picture(scene_of(floor_of(4), seed=4, **FULL), camera, pose, REAL, seed=seed)
-
+    scene = scene_of(floor_of(4), seed=4, **FULL)
     with ThreadPoolExecutor(2) as pool:
-        one, two, other = pool.map(shot, (7, 7, 8))
+        shots = [pool.submit(picture, scene, camera, pose, REAL, seed=s) for s in (7, 7, 8)]
+        one, two, other = (shot.result() for shot in shots)
     np.testing.assert_array_equal(one, two)
     assert 0.5 < (one - other).std() < 8.0  # another noise over the same scene
 
