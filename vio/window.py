@@ -18,7 +18,7 @@ from vio.imu import propagate
 from vio.memory import inflation, remember
 
 _FAR = np.iinfo(np.int64).max
-_RATE_NS = 400_000_000
+_RATE_NS = 100_000_000
 
 
 @njit

@@ -9,11 +9,13 @@ from numpy.testing import assert_allclose
 from simulated import arena
 
 from tagvo import geometry as geo
+from vio.assets import config_path
 from vio.errors import SimulationError
 from vio.sim.checks import check_flight, extent
 from vio.sim.flights import FlightConfig, plan
 from vio.sim.motion import DOWN_W, body_flight
 from vio.sim.scenario import load_scenario
+from vio.sim.trajectory import t3_waypoints
 from vio.sim.vehicle import Vehicle, mount
 
 MAP = arena()
@@ -222,3 +224,18 @@ def test_the_shuttle_swings_about_its_middle():
     x = of.course(np.linspace(a, b, 4000))
     assert_allclose([x[0, :, 1].min(), x[0, :, 1].max()], [1.0, 3.0], atol=1e-3)
     assert_allclose(x[0, :, [0, 2]], [[1.0] * 4000, [0.7] * 4000], atol=1e-12)
+
+
+def test_the_published_waypoints_of_t3_are_those_that_are_flown():
+    """The scenario's comment holds them; the spline passes near each, its corners rounded."""
+    text = config_path("scenarios/t3_qr.yaml").read_text()
+    lines = [line[1:] for line in text.splitlines() if line.startswith("#") and "|" in line]
+    published = np.array([part.split() for line in lines for part in line.split("|")], dtype=float)
+    drawn = t3_waypoints()
+    assert_allclose(published[:, :3], drawn[:, :3], atol=0.0051)
+    assert_allclose(published[:, 3], np.degrees(drawn[:, 3]), atol=0.51)
+    of = flown("T3")
+    a, b = spans(of)["T3"]
+    course = of.course(np.linspace(a, b, 8000))[0]
+    away = np.linalg.norm(course[:, None, :3] - drawn[None, :, :3], axis=-1).min(axis=0)
+    assert away.max() < 0.15
