@@ -54,27 +54,42 @@ def stream_of(scenario: Scenario, *names: str | int) -> np.random.Generator:
     return np.random.default_rng([scenario.seed, *keys])
 
 
-def simulated(scenario: Scenario) -> Recording:
+@dataclass(frozen=True, slots=True, eq=False)
+class Flown:
+    """A vehicle's flight that can be flown: its motion, its plan, gravity in W (3,), in words."""
+
+    motion: BodyFlight
+    plan: Plan
+    down_W: Array
+    notes: tuple[str, ...]
+
+
+def flown_of(scenario: Scenario, tag_map: TagMap) -> Flown:
     """The flight of a scenario; SimulationError where it cannot be flown over its map."""
+    planned, down_W = plan(scenario.flight, scenario.vehicle, tag_map), _gravity(scenario)
+    motion = _motion(scenario, planned, down_W)
+    return Flown(motion, planned, down_W, check_flight(motion, planned, scenario, tag_map, down_W))
+
+
+def simulated(scenario: Scenario) -> Recording:
+    """What all sensors say of the flight of a scenario; SimulationError where it cannot be."""
     tag_map, true_camera = map_of(scenario), rig_of(scenario)
-    flown = plan(scenario.flight, scenario.vehicle, tag_map)
-    down_W = _gravity(scenario)
-    flight = _flight(scenario, flown, down_W)
-    notes = check_flight(flight, flown, scenario, tag_map, down_W)
+    flown = flown_of(scenario, tag_map)
+    duration, aloft = flown.plan.duration_s, flown.plan.aloft
     waves = vibration(scenario.vehicle.rotors, stream_of(scenario, "vibration"))
     clock = Clock(START_NS, scenario.imu.drift_ppm * 1e-6)
     imu, biases = sampled(
-        flight, flown.duration_s, scenario.imu, clock, stream_of(scenario, "imu"),
-        down_W=down_W, shaking=_shaking(waves, flown.aloft),
+        flown.motion, duration, scenario.imu, clock, stream_of(scenario, "imu"),
+        down_W=flown.down_W, shaking=_shaking(waves, aloft),
     )  # fmt: skip
-    t_s = np.arange(int(flown.duration_s * scenario.truth_hz) + 1) / scenario.truth_hz
-    motion = flight(t_s)
+    t_s = np.arange(int(duration * scenario.truth_hz) + 1) / scenario.truth_hz
+    motion = flown.motion(t_s)
     truth_ns = clock.shows(t_s)
     truth = Truth(
         truth_ns, motion.p_WI, geo.quat_from_matrix(motion.R_WI), motion.v_WI,
         _at(truth_ns, imu, biases.gyro), _at(truth_ns, imu, biases.accel),
     )  # fmt: skip
-    spans = [(name, *clock.shows(np.array([a, b])).tolist()) for name, a, b in flown.spans]
+    spans = [(name, *clock.shows(np.array([a, b])).tolist()) for name, a, b in flown.plan.spans]
     return Recording(
         tag_map,
         said_of(scenario, true_camera),
@@ -84,9 +99,9 @@ def simulated(scenario: Scenario) -> Recording:
         imu,
         truth,
         tuple(Phase(*span) for span in spans),
-        exposures(scenario.stream, (0.0, flown.duration_s), clock, stream_of(scenario, "stream")),
-        _camera_at(flight, true_camera, waves, flown.aloft),
-        notes,
+        exposures(scenario.stream, (0.0, duration), clock, stream_of(scenario, "stream")),
+        _camera_at(flown.motion, true_camera, waves, aloft),
+        flown.notes,
     )
 
 
@@ -141,15 +156,15 @@ def _gravity(scenario: Scenario) -> Array:
     return np.asarray(geo.exp(np.radians(scenario.gravity_off_deg) * axis) @ DOWN_W)
 
 
-def _flight(scenario: Scenario, flown: Plan, down_W: Array) -> BodyFlight:
+def _motion(scenario: Scenario, planned: Plan, down_W: Array) -> BodyFlight:
     """The vehicle along its course, straying and swaying as it does."""
     vehicle, rng = scenario.vehicle, stream_of(scenario, "shake")
     shake = vehicle.shake
     stray = band_limited(shake.position_m, shake.position_hz, 3, rng)
     sway = band_limited(np.radians(shake.attitude_deg), shake.attitude_hz, 3, rng)
     return body_flight(
-        shaken(flown.course, stray, flown.aloft), down_W=down_W, drag_per_s=vehicle.drag_per_s,
-        sway=sway, window=flown.aloft,
+        shaken(planned.course, stray, planned.aloft), down_W=down_W, drag_per_s=vehicle.drag_per_s,
+        sway=sway, window=planned.aloft,
     )  # fmt: skip
 
 
