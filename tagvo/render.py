@@ -1,12 +1,14 @@
 """Pictures of a tag map by exact geometry: the truth that detectors and pipelines are tested on.
 
-Grey values are proportional to light (no gamma), so that averaging over a pixel's area and over
-the exposure is averaging grey values. Pixel centres lie at integer coordinates; each pixel is the
-mean of supersample^2 rays spread over its area so that no two share a column or a row of the
-finer grid: an edge along the pixels is resolved to 1/supersample^2 px.
+`render_view` draws a clean map; `render_frame` (of `tagvo.imaging`) a whole scene through a moving
+camera, with all that goes wrong there. Here grey values are proportional to light (no gamma), so
+that averaging over a pixel's area and over the exposure is averaging grey values. Pixel centres
+lie at integer coordinates; each pixel is the mean of supersample^2 rays spread over its area so
+that no two share a column or a row of the finer grid: an edge along the pixels is resolved to
+1/supersample^2 px.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -16,17 +18,18 @@ from numpy.typing import NDArray
 
 from tagvo import geometry as geo
 from tagvo.bitmaps import tag_bitmap
-from tagvo.camera import Camera, project, unproject
+from tagvo.camera import Camera, unproject
 from tagvo.geometry import Array, IntArray
+from tagvo.imaging import render_frame as render_frame
+from tagvo.outlines import boxes_in_view, cells_from_rays
+from tagvo.scene import displaced as displaced
+from tagvo.sensor import Image as Image
 from tagvo.tagmap import TagMap
 
-Image: TypeAlias = NDArray[np.uint8]
 Image32: TypeAlias = NDArray[np.float32]
 
-_NEAR = 1e-3  # [m] along z of C: a tag reaching nearer has no outline to trust
-_MARGIN = 2  # [px] around a tag's outline
-_POINTS_PER_EDGE = 8
 _ROWS_AT_ONCE = 16  # rows of pixels unprojected together, which bounds the memory
+_TO_CENTRES = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])  # of cells
 _WAVES = np.array(  # of the floor's pattern [rad/m]
     [[2.3, 1.1], [-3.7, 2.9], [7.1, 9.7], [-17.3, 5.9], [23.9, -29.3], [41.1, 37.7]], np.float32
 )
@@ -88,22 +91,6 @@ def exposure_poses(
     return geo.compose(R_WC, p_WC, *geo.exp_se3(t[:, None] * twist_C))
 
 
-def displaced(
-    tag_map: TagMap,
-    rng: np.random.Generator,
-    sigma: tuple[float, float, float, float] | None = None,
-) -> TagMap:
-    """The map as it might really lie: laying errors drawn from its own sigmas.
-
-    sigma: xy [m], z [m], yaw [rad], tilt [rad] in T, in place of the map's own.
-    """
-    if sigma is not None:
-        tag_map = replace(tag_map, sigma=np.tile(sigma, (len(tag_map), 1)))
-    error = tag_map.laying_sigma * rng.standard_normal((len(tag_map), 6))
-    R_WT, p_WT = geo.compose(tag_map.R_WT, tag_map.p_WT, geo.exp(error[:, 3:]), error[:, :3])
-    return replace(tag_map, R_WT=R_WT, p_WT=p_WT)
-
-
 _CameraKey: TypeAlias = tuple[str, tuple[float, ...], tuple[float, ...], tuple[int, int]]
 
 
@@ -161,7 +148,8 @@ def _exposed(
         box = slice(y0 * s, y1 * s), slice(x0 * s, x1 * s)
         cells = tag_bitmap(tag_map.family, int(tag_map.tag_id[i]), tag_map.border_bits)
         ink = np.where(cells > 0, look.white, look.black).astype(np.float32)
-        H = _cells_from_rays(R_TC[i], p_TC[i], float(tag_map.total_size[i]), len(cells))
+        side = np.repeat(tag_map.total_size[i], 2)
+        H = _TO_CENTRES @ cells_from_rays(R_TC[i], p_TC[i], side, np.array(len(cells)))
         where = np.asarray(cv2.perspectiveTransform(rays.x_n[box], H), dtype=np.float32)
         if not in_front:  # rays that leave the tag's plane would see it mirrored
             where[rays.x_n[box] @ R_TC[i, 2, :2] + R_TC[i, 2, 2] >= 0.0] = -9.0
@@ -175,40 +163,16 @@ def _paint(fine: Image32, ink: Image32, where: Image32) -> None:
     cv2.remap(ink, where, None, nearest, dst=fine, borderMode=keep)  # type: ignore[call-overload]
 
 
-def _cells_from_rays(R_TC: Array, p_TC: Array, side: float, cells: int) -> Array:
-    """Homography from normalised coordinates to (column, row), cell centres at integers."""
-    plane = np.outer(p_TC, R_TC[2]) - p_TC[2] * R_TC
-    plane[2] = R_TC[2]
-    k, middle = cells / side, 0.5 * cells - 0.5
-    return np.asarray(np.array([[k, 0, middle], [0, -k, middle], [0, 0, 1]]) @ plane)
-
-
 def _visible(
     tag_map: TagMap, camera: Camera, rays: _Rays, R_TC: Array, p_TC: Array
 ) -> list[tuple[int, tuple[int, int, int, int], bool]]:
     """Row, pixel box (x0, x1, y0, y1) and "wholly in front" of tags that may show, far to near."""
-    width, height = camera.resolution
-    t = np.linspace(-0.5, 0.5, _POINTS_PER_EDGE, endpoint=False)
-    half, flat = np.full_like(t, 0.5), np.zeros_like(t)
-    edges = [(t, half), (half, -t), (-t, -half), (-half, t)]
-    unit = np.concatenate([np.stack([x, y, flat], axis=-1) for x, y in edges])
-    p_T = tag_map.total_size[:, None, None] * unit
-    p_C = np.einsum("nij,nki->nkj", R_TC, p_T - p_TC[:, None])
-    front = p_C[..., 2] > _NEAR
-    x_n = p_C[..., :2] / np.where(front, p_C[..., 2], np.nan)[..., None]
-    in_front = front.all(axis=1)
-    beside = in_front & ((x_n.max(1) < rays.low) | (x_n.min(1) > rays.high)).any(axis=1)
-    pixels, valid = project(camera, p_C)
-    pixels = np.clip(pixels, -1e6, 1e6)  # far aside the distortion's polynomial runs away
-    low = np.floor(pixels.min(axis=1)).astype(int) - _MARGIN
-    high = np.ceil(pixels.max(axis=1)).astype(int) + _MARGIN + 1
-    low[~valid.all(axis=1)], high[~valid.all(axis=1)] = 0, (width, height)
-    low, high = np.maximum(low, 0), np.minimum(high, (width, height))
-    shows = (p_TC[:, 2] > 0.0) & front.any(axis=1) & ~beside & (low < high).all(axis=1)
-    rows: IntArray = np.flatnonzero(shows)
+    side = np.repeat(tag_map.total_size[:, None], 2, axis=1)
+    boxes = boxes_in_view(camera, (rays.low, rays.high), R_TC, p_TC, side)
+    rows: IntArray = np.flatnonzero(boxes.shows)
     far_first = rows[np.argsort(-np.linalg.norm(p_TC[rows], axis=1), kind="stable")]
-    boxes = np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=1).tolist()
-    return [(int(i), tuple(boxes[i]), bool(in_front[i])) for i in far_first]
+    px = boxes.px.tolist()
+    return [(int(i), tuple(px[i]), bool(boxes.in_front[i])) for i in far_first]
 
 
 def _floor(rays: _Rays, R_WC: Array, p_WC: Array, look: Look) -> Image32:

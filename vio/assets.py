@@ -14,3 +14,9 @@ def config_path(name: str) -> Path:
         if path.is_file():
             return path
     raise VioError(f"configs/{name}: no such file came with this installation of tagvio")
+
+
+def config_names(folder: str) -> list[str]:
+    """Names (without .yaml) of the files of a folder of `configs/`, such as scenarios, sorted."""
+    homes = (Path(str(files("vio"))) / "configs", Path(__file__).parents[1] / "configs")
+    return sorted({path.stem for home in homes for path in (home / folder).glob("*.yaml")})

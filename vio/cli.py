@@ -5,7 +5,7 @@ import sys
 import typer
 
 from tagvo.errors import TagvoError
-from vio.commands import compare, daemon, demo, doctor, replay, run, warmup
+from vio.commands import compare, daemon, demo, doctor, replay, run, simulate, warmup
 from vio.commands import map as map_commands
 from vio.errors import VioError
 from vio.interrupt import interruptible
@@ -23,6 +23,7 @@ app.command("compare")(compare.command)
 app.command("demo")(demo.command)
 app.command("daemon")(daemon.command)
 app.command("replay")(replay.command)
+app.command("simulate")(simulate.command)
 app.command("warmup")(warmup.command)
 app.command("doctor")(doctor.command)
 app.add_typer(map_commands.app, name="map")

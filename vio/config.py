@@ -8,9 +8,10 @@ from pydantic import BaseModel, field_validator
 
 from tagvo.config import TagvoConfig, validated
 from tagvo.errors import ConfigError
-from tagvo.textfile import parse_yaml, read_yaml
+from tagvo.textfile import read_yaml
 from vio.daemon_settings import DaemonConfig
 from vio.mavlink_settings import MavlinkConfig
+from vio.overrides import assign, origin
 from vio.settings import VioConfig
 
 _IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
@@ -53,25 +54,5 @@ def load_config(path: Path | None, assignments: Sequence[str] = ()) -> Config:
     """
     data: dict[str, Any] = {} if path is None else read_yaml(path, ConfigError)
     for text in assignments:
-        _assign(data, text)
-    return validated(Config, data, _where(path, assignments))
-
-
-def _where(path: Path | None, assignments: Sequence[str]) -> str:
-    sources = [str(path)] if path is not None else []
-    sources += [f"--set {text}" for text in assignments]
-    return ", ".join(sources) or "configuration"
-
-
-def _assign(data: dict[str, Any], text: str) -> None:
-    """Put the YAML value of `a.b=value` at its place in nested mappings."""
-    keys, equals, value = text.partition("=")
-    path = [key.strip() for key in keys.split(".")]
-    if not equals or not all(path):
-        raise ConfigError(f"--set {text}: KEY.KEY=VALUE is needed, such as tagvo.pose=fused")
-    here = data
-    for key in path[:-1]:
-        inner = here.get(key)
-        here[key] = inner = dict(inner) if isinstance(inner, dict) else {}
-        here = inner
-    here[path[-1]] = parse_yaml(value, f"--set {text}", ConfigError)
+        assign(data, text)
+    return validated(Config, data, origin(path, assignments))

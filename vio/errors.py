@@ -23,3 +23,7 @@ class SourceError(VioError):
 
 class CameraLost(SourceError):
     """A camera gives no images; it may come back."""
+
+
+class SimulationError(VioError):
+    """A scenario cannot be flown, or its log cannot be written."""

@@ -1,5 +1,8 @@
 """What LogWriter writes is what FlightLog reads; and what it does to a log that is there."""
 
+import errno
+import os
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -121,3 +124,65 @@ def test_replace_removes_the_old_log_and_nothing_else(tmp_path):
     assert all(path.read_text() == "keep" for path in mine)
     assert not list(tmp_path.glob("mav0/imu_mavlink/*"))
     assert len(list(tmp_path.rglob("*.png"))) == 1
+
+
+def test_true_biases_and_the_notes_of_a_simulation(tmp_path):
+    biases = np.array([1e-3, -2e-3, 3e-3, 0.1, -0.2, 0.3])
+    with written(tmp_path, 2) as writer:
+        for k in range(3):
+            writer.truth(T0 + k, np.ones(3), np.array([1.0, 0, 0, 0]), np.zeros(3), k * biases)
+        writer.note("scenario.yaml", "seed: 1\n")
+        with pytest.raises(ValueError, match=r"scenario\.yaml, truth_rig\.yaml"):
+            writer.note("mav0.yaml", "")
+    log = FlightLog.open(tmp_path)
+    assert_allclose(log.truth.b_g, np.outer(np.arange(3), biases[:3]), atol=1e-12)
+    assert_allclose(log.truth.b_a, np.outer(np.arange(3), biases[3:]), atol=1e-12)
+    assert (tmp_path / "scenario.yaml").read_text() == "seed: 1\n"
+    written(tmp_path, 1, replace=True).close()
+    assert not (tmp_path / "scenario.yaml").exists()
+
+
+@pytest.mark.parametrize("torn", ["", "1", "1403638519492829443,0.1,0.2"])
+def test_where_writing_fails_a_file_ends_with_its_last_whole_row(tmp_path, torn):
+    """The row that did not fit is cut off, whatever of it the disk took."""
+    writer = written(tmp_path, 2)
+    samples = [ImuSample(T0 + k, np.ones(3), np.ones(3), T0 + k) for k in range(3)]
+    for sample in samples[:2]:
+        writer.imu(sample)
+    path = tmp_path / "mav0/imu0/data.csv"
+    whole = path.read_bytes()
+    writer._files[path.relative_to(tmp_path)] = Full(path, torn)
+    with pytest.raises(OSError, match=r"No space left on device: '.*imu0/data\.csv'"):
+        writer.imu(samples[2])
+    assert path.read_bytes() == whole
+    assert len(FlightLog.open(tmp_path).imu) == 2
+    writer.imu(samples[2])  # there is room again
+    writer.close()
+    assert len(FlightLog.open(tmp_path).imu) == 3
+
+
+def test_a_file_whose_first_row_did_not_fit_is_none(tmp_path):
+    writer = written(tmp_path, 2)
+    path = tmp_path / "mav0/imu0/data.csv"
+    path.parent.mkdir(parents=True)
+    path.write_text("#timestamp [ns],w_x,w_y,w_z [rad/s],a_x,a_y,a_z [m/s^2],arrival_ns\n")
+    writer._files[path.relative_to(tmp_path)] = Full(path, "12,")
+    with pytest.raises(OSError, match="No space left"):
+        writer.imu(ImuSample(T0, np.ones(3), np.ones(3), T0))
+    assert not path.exists()
+    assert FlightLog.open(tmp_path).imu is None
+
+
+class Full:
+    """A file on a disk that takes but the beginning of what is written."""
+
+    def __init__(self, path, torn):
+        self.path, self.torn = path, torn
+
+    def write(self, text):
+        with self.path.open("a") as file:
+            file.write(self.torn)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def close(self):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

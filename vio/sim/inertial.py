@@ -48,15 +48,16 @@ def simulate_imu(
     t_s = np.arange(int(duration_s * rate) + 1) / rate
     down = np.array([0.0, 0.0, -1.0]) if down_W is None else down_W
     gyro, accel = true_rates(flight, t_s, down)
-    gyro_bias = _walk(len(t_s), turn_on[0], noise.gyro_walk / np.sqrt(rate), rng)
-    accel_bias = _walk(len(t_s), turn_on[1], noise.accel_walk / np.sqrt(rate), rng)
+    gyro_bias = bias_walk(len(t_s), turn_on[0], noise.gyro_walk / np.sqrt(rate), rng)
+    accel_bias = bias_walk(len(t_s), turn_on[1], noise.accel_walk / np.sqrt(rate), rng)
     gyro = gyro + gyro_bias + noise.gyro_density * np.sqrt(rate) * rng.normal(size=gyro.shape)
     accel = accel + accel_bias + noise.accel_density * np.sqrt(rate) * rng.normal(size=accel.shape)
     t_ns = np.round(t_s * 1e9).astype(np.int64)
     return ImuTrack(t_ns, gyro, accel, t_ns), Biases(gyro_bias, accel_bias)
 
 
-def _walk(n: int, first: float, step: float, rng: np.random.Generator) -> Array:
+def bias_walk(n: int, first: float, step: float, rng: np.random.Generator) -> Array:
+    """A bias (n, 3) drawn with sigma `first` that then walks by sigma `step` a sample."""
     steps = step * rng.normal(size=(n, 3))
     steps[0] = first * rng.normal(size=3)
     return np.asarray(np.cumsum(steps, axis=0))

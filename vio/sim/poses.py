@@ -76,7 +76,7 @@ def simulate_poses(
         )
         for i in range(n)
     ]
-    seen = np.flatnonzero(_visible(t, duration_s, noise.dropouts, rng))
+    seen = np.flatnonzero(visible(t, duration_s, noise.dropouts, rng))
     return PoseStream([poses[i] for i in seen], arrival[seen], outlier[seen])
 
 
@@ -93,10 +93,18 @@ def _gauss_markov(n: int, keep: float, rng: np.random.Generator) -> Array:
     return out
 
 
-def _visible(t: Array, duration_s: float, dropouts: int, rng: np.random.Generator) -> BoolArray:
-    """False inside dropouts of 0.5-3 s, none in the first 5 s."""
+def visible(
+    t: Array,
+    duration_s: float,
+    dropouts: int,
+    rng: np.random.Generator,
+    *,
+    length_s: tuple[float, float] = (0.5, 3.0),
+    after_s: float = 5.0,
+) -> BoolArray:
+    """False inside dropouts that last length_s [s], none of which begins in the first after_s."""
     seen = np.ones(len(t), dtype=bool)
     for _ in range(dropouts):
-        start = rng.uniform(5.0, max(duration_s - 3.0, 5.1))
-        seen &= ~((t >= start) & (t < start + rng.uniform(0.5, 3.0)))
+        start = rng.uniform(after_s, max(duration_s - length_s[1], after_s + 0.1))
+        seen &= ~((t >= start) & (t < start + rng.uniform(*length_s)))
     return seen

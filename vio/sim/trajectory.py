@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 
 from tagvo.geometry import Array
@@ -30,6 +30,15 @@ class Motion:
 
 
 Flight = Callable[[Array], Motion]
+Command = tuple[Array, Array, Array]  # times (k,) [s], points (k, 3) [m], yaw (k,) [rad]
+
+
+def smoothed(t_s: Array, p_W: Array, yaw: Array) -> BSpline:
+    """Spline of fifth degree in time through a command whose corners are rounded: x y z yaw."""
+    grid = np.arange(t_s[0] - 2.0, t_s[-1] + 2.0, 1.0 / _KNOTS_HZ)
+    command = np.column_stack([np.interp(grid, t_s, c) for c in (*p_W.T, yaw)])
+    smooth = gaussian_filter1d(command, _SMOOTH_S * _KNOTS_HZ, axis=0, mode="nearest")
+    return make_interp_spline(grid, smooth, k=5)
 
 
 def flight(t_s: Array, p_W: Array, yaw: Array, R_WG: Array | None = None) -> Flight:
@@ -38,10 +47,7 @@ def flight(t_s: Array, p_W: Array, yaw: Array, R_WG: Array | None = None) -> Fli
     It tilts as a multirotor must: its z along the specific force. R_WG (3, 3): a level frame in the
     map, whose z is up; None: the map's z is up (points and yaw are then those of the map).
     """
-    grid = np.arange(t_s[0] - 2.0, t_s[-1] + 2.0, 1.0 / _KNOTS_HZ)
-    command = np.column_stack([np.interp(grid, t_s, c) for c in (*p_W.T, yaw)])
-    smooth = gaussian_filter1d(command, _SMOOTH_S * _KNOTS_HZ, axis=0, mode="nearest")
-    spline = make_interp_spline(grid, smooth, k=5)
+    spline = smoothed(t_s, p_W, yaw)
     first, second = spline.derivative(1), spline.derivative(2)
     turn = np.eye(3) if R_WG is None else R_WG
 
@@ -58,26 +64,46 @@ def flight(t_s: Array, p_W: Array, yaw: Array, R_WG: Array | None = None) -> Fli
     return at
 
 
-def t1(R_WG: Array | None = None) -> tuple[Flight, float]:
-    """A square of 1.8 m at 0.8 m and 0.5 m/s, 2 s of hover at each corner; flight, duration [s]."""
+def t1_command() -> Command:
+    """A square of 1.8 m at 0.8 m and 0.5 m/s, 2 s of hover at each corner."""
     corners = np.array([[2.4, 3.4], [2.4, 1.6], [0.6, 1.6], [0.6, 3.4], [2.4, 3.4]])
     t, p = [0.0, 2.0], [corners[0], corners[0]]
     for corner in corners[1:]:
         t += [t[-1] + 3.6, t[-1] + 5.6]
         p += [corner, corner]
     points = np.column_stack([np.array(p), np.full(len(p), 0.8)])
-    return flight(np.array(t), points, np.full(len(t), np.radians(30.0)), R_WG), t[-1]
+    return np.array(t), points, np.full(len(t), np.radians(30.0))
+
+
+def t1(R_WG: Array | None = None) -> tuple[Flight, float]:
+    """The flight of `t1_command` and its duration [s]."""
+    command = t1_command()
+    return flight(*command, R_WG), float(command[0][-1])
+
+
+def t2_command(place: tuple[float, float] = (1.5, 2.5)) -> Command:
+    """Steps of 0.3 m up and down over one place x, y [m], 4 s each."""
+    heights = [0.7, 1.0, 1.3, 1.6, 1.3, 1.0, 0.7]
+    t = np.repeat(np.arange(len(heights)) * 4.0, 2) + np.tile([0.0, 3.4], len(heights))
+    points = np.column_stack([np.full((len(t), 2), place), np.repeat(heights, 2)])
+    return t, points, np.full(len(t), np.radians(30.0))
 
 
 def t2(R_WG: Array | None = None) -> tuple[Flight, float]:
-    """Steps of 0.3 m up and down over one place, 4 s each."""
-    heights = [0.7, 1.0, 1.3, 1.6, 1.3, 1.0, 0.7]
-    t = np.repeat(np.arange(len(heights)) * 4.0, 2) + np.tile([0.0, 3.4], len(heights))
-    points = np.column_stack([np.full((len(t), 2), [1.5, 2.5]), np.repeat(heights, 2)])
-    return flight(t, points, np.full(len(t), np.radians(30.0)), R_WG), float(t[-1])
+    """The flight of `t2_command` and its duration [s]."""
+    command = t2_command()
+    return flight(*command, R_WG), float(command[0][-1])
 
 
-def t3(R_WG: Array | None = None) -> tuple[Flight, float]:
+def t3_waypoints() -> Array:
+    """The places x y z [m] and headings [rad] of T3 as they were drawn, once for all; (24, 4)."""
+    rng = np.random.default_rng(_T3_SEED)
+    places = rng.uniform([0.5, 0.7, 0.7], [2.5, 4.3, 1.8], size=(_T3_WAYPOINTS, 3))
+    yaw = np.cumsum(rng.uniform(-_T3_TURN_RAD, _T3_TURN_RAD, size=_T3_WAYPOINTS))
+    return np.column_stack([places, yaw])
+
+
+def t3_command() -> Command:
     """A clamped cubic spline through 24 waypoints and headings drawn at random, once.
 
     Places uniform in the room above the map, each heading within 40 degrees of the one before, time
@@ -86,17 +112,20 @@ def t3(R_WG: Array | None = None) -> tuple[Flight, float]:
     in the study that the nuisances of `PoseNoise` come from (40 cm, 8 deg there and here); no
     filter was asked.
     """
-    rng = np.random.default_rng(_T3_SEED)
-    waypoints = rng.uniform([0.5, 0.7, 0.7], [2.5, 4.3, 1.8], size=(_T3_WAYPOINTS, 3))
-    yaw = np.cumsum(rng.uniform(-_T3_TURN_RAD, _T3_TURN_RAD, size=_T3_WAYPOINTS))
-    legs = np.maximum(np.linalg.norm(np.diff(waypoints, axis=0), axis=1), 1.0)
+    waypoints = t3_waypoints()
+    legs = np.maximum(np.linalg.norm(np.diff(waypoints[:, :3], axis=0), axis=1), 1.0)
     end = _T3_SECONDS - _HOVER_S
     knots = np.concatenate([[0.0], np.cumsum(legs)])
     t_knots = _HOVER_S + knots / knots[-1] * (end - _HOVER_S)
-    curve = make_interp_spline(t_knots, np.column_stack([waypoints, yaw]), k=3, bc_type="clamped")
+    curve = make_interp_spline(t_knots, waypoints, k=3, bc_type="clamped")
     t = np.arange(0.0, _T3_SECONDS, 1.0 / _KNOTS_HZ)
     command = curve(np.clip(t, _HOVER_S, end))
-    return flight(t, command[:, :3], command[:, 3], R_WG), _T3_SECONDS
+    return t, command[:, :3], command[:, 3]
+
+
+def t3(R_WG: Array | None = None) -> tuple[Flight, float]:
+    """The flight of `t3_command` and its duration [s]."""
+    return flight(*t3_command(), R_WG), _T3_SECONDS
 
 
 def circle(speed_m_s: float, rng: np.random.Generator) -> tuple[Flight, float]:

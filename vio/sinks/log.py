@@ -1,6 +1,8 @@
 """Writes a flight log, row by row while it flies, in the layout that `FlightLog` opens."""
 
 import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import TextIO
@@ -27,9 +29,12 @@ _HEADERS = {
     "imu": "#timestamp [ns],w_x,w_y,w_z [rad/s],a_x,a_y,a_z [m/s^2],arrival_ns,mean",
     "ground": "#timestamp [ns],on_ground",
     "truth": "#timestamp [ns],p_x,p_y,p_z [m],q_w,q_x,q_y,q_z,v_x,v_y,v_z [m/s]",
+    "truth_biases": "#timestamp [ns],p_x,p_y,p_z [m],q_w,q_x,q_y,q_z,v_x,v_y,v_z [m/s],"
+    "bg_x,bg_y,bg_z [rad/s],ba_x,ba_y,ba_z [m/s^2]",
 }
+_NOTES = ("scenario.yaml", "truth_rig.yaml")  # of a simulated log; nothing reads them in a run
 _LAYOUT = (  # all that a log may hold: what `replace` removes
-    "tagmap.yaml", "camchain-imucam.yaml", "imu.yaml", "config.yaml", "phases.csv",
+    "tagmap.yaml", "camchain-imucam.yaml", "imu.yaml", "config.yaml", "phases.csv", *_NOTES,
     "mav0/*/data.csv", "mav0/*/sensor.yaml", "mav0/cam0/detections.csv", "mav0/cam0/data/*.png",
     "flown/*",
 )  # fmt: skip
@@ -39,7 +44,8 @@ class LogWriter:
     """Owns the files of one log; a file exists from its first row on, and every row is whole.
 
     A crash of the program loses nothing that was written; `sync` (and `close`) also survive a
-    power cut. Times are integer ns as in the contracts: frames in the camera's clock.
+    power cut. Where the disk is full a file ends with its last whole row (and OSError names it).
+    Times are integer ns as in the contracts: frames in the camera's clock.
     """
 
     def __init__(self, path: Path, *, replace: bool = False) -> None:
@@ -104,10 +110,24 @@ class LogWriter:
         row = f"{ground.arrival_ns},{int(ground.on_ground)}"
         self._row(Path("mav0/vehicle0/data.csv"), "ground", row)
 
-    def truth(self, t_ns: int, p_WI: Array, q_WI: Array, v_WI: Array) -> None:
-        """A row of truth; p (3,) [m], q (4,) wxyz, v (3,) [m/s]."""
+    def truth(
+        self, t_ns: int, p_WI: Array, q_WI: Array, v_WI: Array, biases: Array | None = None
+    ) -> None:
+        """A row of truth; p (3,) [m], q (4,) wxyz, v (3,) [m/s].
+
+        biases (6,): of gyro [rad/s] and accelerometer [m/s^2]; in each row of a log or in none.
+        """
         row = f"{t_ns},{_numbers(p_WI, 9)},{_numbers(q_WI, 12)},{_numbers(v_WI, 9)}"
-        self._row(_TRUTH, "truth", row)
+        if biases is None:
+            self._row(_TRUTH, "truth", row)
+        else:
+            self._row(_TRUTH, "truth_biases", f"{row},{_numbers(biases, 12)}")
+
+    def note(self, name: str, text: str) -> None:
+        """A file for people beside the log's own: scenario.yaml or truth_rig.yaml."""
+        if name not in _NOTES:
+            raise ValueError(f"{name} is no note of a log: {', '.join(_NOTES)}")
+        write_atomic(self.path / name, text)
 
     def phases(self, phases: tuple[Phase, ...]) -> None:
         """The named parts of the flight, all at once."""
@@ -128,10 +148,15 @@ class LogWriter:
 
     def close(self) -> None:
         """Sync and close; rows written afterwards open their files again."""
-        self.sync()
-        for file in self._files.values():
-            file.close()
-        self._files.clear()
+        with ExitStack() as files:
+            for name in list(self._files):
+                files.callback(self._close, name)
+
+    def _close(self, name: Path) -> None:
+        with self._whole(name):
+            self._files[name].flush()
+            os.fsync(self._files[name].fileno())
+            self._files.pop(name).close()
 
     def _tags(self, t_ns: int, found: Detections) -> None:
         """The rows of one frame, all in one write."""
@@ -154,9 +179,31 @@ class LogWriter:
             path.parent.mkdir(parents=True, exist_ok=True)
             fresh = not path.exists()
             file = self._files[name] = path.open("a", encoding="utf-8", buffering=1)
-            if fresh and header is not None:
-                file.write(header + "\n")
-        file.write(row + "\n")
+            row = f"{header}\n{row}" if fresh and header is not None else row
+        with self._whole(name):
+            file.write(row + "\n")
+
+    @contextmanager
+    def _whole(self, name: Path) -> Iterator[None]:
+        """Where writing a file fails, close it, cut off its torn last row, and name it."""
+        try:
+            yield
+        except OSError as err:
+            with suppress(OSError, KeyError):
+                self._files.pop(name).close()
+            _cut(self.path / name)
+            raise OSError(err.errno, err.strerror, str(self.path / name)) from None
+
+
+def _cut(path: Path) -> None:
+    """Take away what stands after the last end of a line; a file without a row is none."""
+    with suppress(OSError):
+        data = path.read_bytes()
+        end = data.rfind(b"\n") + 1
+        if data.count(b"\n") < 2:
+            path.unlink()
+        elif end < len(data):
+            os.truncate(path, end)
 
 
 def _numbers(values: "Array | list[float]", digits: int) -> str:
@@ -178,8 +225,11 @@ def _write_png(path: Path, image: "np.ndarray[tuple[int, ...], np.dtype[np.uint8
         raise LogError(f"{path}: an image of shape {image.shape} cannot be written as PNG")
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(".tmp")
-    temporary.write_bytes(data.tobytes())
-    temporary.replace(path)
+    try:
+        temporary.write_bytes(data.tobytes())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _noise_yaml(noise: ImuNoise) -> str:
