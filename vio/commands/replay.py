@@ -1,6 +1,7 @@
 """`tagvio replay`: a log in real time through the daemon's path into a flight controller."""
 
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -23,6 +24,17 @@ def command(
     assignments: opt.Assignments = None,
     imu: opt.ImuName = "imu0",
     detections: opt.UseDetections = False,
+    sitl: Literal["ardupilot", "px4"] | None = typer.Option(
+        None, "--sitl",
+        help="Be the autopilot's simulator too: it flies on the log's IMU, in lock step.",
+    ),
+    out: Path | None = typer.Option(
+        None, "--out", metavar="DIR", help="With --sitl: where fc.tum and comparison.json go.",
+    ),
+    sitl_port: int | None = typer.Option(
+        None, "--sitl-port", min=1, max=65535,
+        help="With --sitl: the simulator's port; else ArduPilot's 9002 (JSON) or PX4's 4560.",
+    ),
 ) -> None:  # fmt: skip
     """Play a flight log in real time into a flight controller, as the daemon would fly it.
 
@@ -30,7 +42,16 @@ def command(
     The flight controller's own IMU is not asked for. The pose it gets is that of the log: a vehicle
     that is elsewhere, or moves otherwise, will not believe it. At another speed than 1 velocities
     are scaled alike.
+
+    With --sitl ardupilot|px4 the log's IMU is played into the autopilot as its simulator would,
+    so that its filter flies the log on our poses; DIR/fc.tum is what it estimates, judged beside
+    ours where the log has truth.
     """
+    if sitl is not None:
+        _into_sitl(log, out, config, assignments, imu, detections, connect, sitl, sitl_port)
+        return
+    if out is not None or sitl_port is not None:
+        raise typer.BadParameter("goes with --sitl", param_hint="--out, --sitl-port")
     from vio.commands.daemon import start_log
     from vio.commands.options import progress
     from vio.config import load_config
@@ -51,6 +72,21 @@ def command(
         _report(done)
     if interrupted:
         raise typer.Exit(130)
+
+
+def _into_sitl(
+    log: Path, out: Path | None, config: Path | None, assignments: list[str] | None, imu: str,
+    detections: bool, connect: str, sitl: Literal["ardupilot", "px4"], port: int | None,
+) -> None:  # fmt: skip
+    from vio.commands.sitl_replay import replay_into_sitl
+
+    if out is None:
+        raise typer.BadParameter("--sitl needs a folder for what comes back", param_hint="--out")
+    opt.make_folder(out)
+    choice = opt.Choice(
+        log, out, config, tuple(assignments or ()), imu, detections, None, 1, None, 0.0
+    )
+    replay_into_sitl(choice, connect, sitl, port=port)
 
 
 def _report(done: "Replayed") -> None:

@@ -6,7 +6,7 @@ from tagvo.pipeline import TagVO
 from tagvo.records import Frame
 from vio.arms import Output
 from vio.filter_arm import VioArm
-from vio.records import ImuSample
+from vio.records import Ground, ImuSample
 from vio.sitl.play import Offer
 from vio.sources.log import FlightLog
 
@@ -33,8 +33,13 @@ class LogVision:
             self._next = next(self._events, None)
         return offers
 
-    def _take(self, event: ImuSample | Frame, wanted: Callable[[], int | None]) -> list[Offer]:
+    def _take(
+        self, event: ImuSample | Frame | Ground, wanted: Callable[[], int | None]
+    ) -> list[Offer]:
         estimator = self._arm.estimator
+        if isinstance(event, Ground):
+            self._arm.ground(event.on_ground)
+            return []
         if isinstance(event, ImuSample):
             self._keep(self._arm.imu(event))
             t_ns = wanted()
@@ -53,7 +58,7 @@ class LogVision:
             self.outputs.append(output)
 
 
-def _arrival(event: ImuSample | Frame) -> int:
-    if isinstance(event, ImuSample):
+def _arrival(event: ImuSample | Frame | Ground) -> int:
+    if not isinstance(event, Frame):
         return event.arrival_ns
     return event.t_ns if event.arrival_ns is None else event.arrival_ns
