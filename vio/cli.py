@@ -5,7 +5,7 @@ import sys
 import typer
 
 from tagvo.errors import TagvoError
-from vio.commands import compare, demo, run, warmup
+from vio.commands import bench, compare, demo, run, warmup
 from vio.commands import map as map_commands
 from vio.errors import VioError
 from vio.interrupt import interruptible
@@ -21,6 +21,7 @@ app = typer.Typer(
 app.command("run")(run.command)
 app.command("compare")(compare.command)
 app.command("demo")(demo.command)
+app.command("bench")(bench.command)
 app.command("warmup")(warmup.command)
 app.add_typer(map_commands.app, name="map")
 
