@@ -1,6 +1,6 @@
 """Decides frame by frame whether tags are tracked, searched for in a strip, or searched for whole.
 
-Pure decisions over a small state; nothing here looks at pixels.
+Pure decisions over a small state.
 """
 
 from dataclasses import dataclass
@@ -10,12 +10,14 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.geometry import Array
 from tagvo.records import PosePrior
+from tagvo.track.cells import Gray
 from tagvo.track.settings import TrackConfig
 
 _SAME_MOMENT_NS = 1_000_000  # a prior is for this frame when its stamp is this near
 _MAX_ROTATION_RAD = float(np.radians(6.0))  # beyond, the covariance is no ellipse in the image
 _DECIMATES = (1.5, 2.0, 3.0, 4.0)
 _SIDE_PX, _ENOUGH_TAGS = 10.0, 8
+_MOSAIC = 0.04  # half the difference of a mosaic's two diagonals, over the mean
 _UNIT = 1e-3  # how far a rotation may be from orthonormal
 
 
@@ -58,6 +60,22 @@ def prior_fault(prior: PosePrior | None, t_ns: int) -> str | None:
     if np.linalg.eigvalsh(prior.cov[3:, 3:])[-1] > _MAX_ROTATION_RAD**2:
         return "prior_too_wide"
     return None
+
+
+def looks_mosaic(image: Gray) -> bool:
+    """Whether a grey image (h, w) is a raw Bayer mosaic: its even diagonal lighter than its odd.
+
+    Edges along rows or columns leave this alone; judged on some thirty pairs of rows.
+    """
+    step = max(2, image.shape[0] // 32 // 2 * 2)
+    height, width = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
+    if height < 2 or width < 2:
+        return False
+    upper = image[0:height:step, :width].mean(axis=0).reshape(-1, 2).mean(axis=0)
+    lower = image[1:height:step, :width].mean(axis=0).reshape(-1, 2).mean(axis=0)
+    difference = 0.25 * abs(float(upper[0] + lower[1] - upper[1] - lower[0]))
+    mean = 0.25 * float(upper.sum() + lower.sum())
+    return difference > _MOSAIC * max(mean, 1.0)
 
 
 def strip_due(

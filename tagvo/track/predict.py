@@ -206,3 +206,15 @@ def posterior(
         for k in range(3):
             p_WC[k] = p0[k] + xi[k]
     return True
+
+
+@njit
+def sides_in_view(R_WC: Array, p_WC: Array, tags: MapArrays, lens: Lens, sides: Array) -> None:
+    """Shortest image side [px] of every tag wholly in view into sides (n,), 0: not in view."""
+    quad_n, quad_px, J = np.empty((4, 2)), np.empty((4, 2)), np.empty((4, 2, 6))
+    for i in range(len(tags.p_WT)):
+        sides[i] = 0.0
+        if project_tag(R_WC, p_WC, tags, i, lens, quad_n, quad_px, J) and inside(
+            quad_px, lens, 0.0
+        ):
+            sides[i] = extent(quad_px)[0]

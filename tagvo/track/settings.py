@@ -27,5 +27,5 @@ class TrackConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     max_errors: int = Field(default=1, ge=0, le=4)
     min_contrast: float = Field(default=10.0, ge=4.0)
     sweep_s: float = Field(default=1.0, ge=0.0)
-    strips: int = Field(default=6, ge=1, le=64)
+    strips: int = Field(default=4, ge=1, le=64)
     adaptive: bool = True

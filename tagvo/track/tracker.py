@@ -14,12 +14,14 @@ from tagvo.track.gate import (
     GateState,
     Strip,
     decimate_needed,
+    looks_mosaic,
     prior_fault,
     strip_due,
     symmetric,
     tracking_failed,
 )
-from tagvo.track.kernel import FATES, sides_in_view, track_image
+from tagvo.track.kernel import FATES, track_image
+from tagvo.track.predict import sides_in_view
 from tagvo.track.settings import TrackConfig
 
 _OVERLAP_PX = 40  # of neighbouring strips, for tags that lie across their border
@@ -73,6 +75,8 @@ class Tracker:
         answer has no detections and says why in its counts.
         """
         fault = prior_fault(prior, t_ns) or self._state.search_next
+        if fault is None and looks_mosaic(image):
+            fault = "mosaic"
         if fault is not None or prior is None:
             self._state = replace(self._state, search_next=None)
             return Tracked(None, {f"search_{fault}": 1})
