@@ -89,7 +89,7 @@ def _equidistant(x: float, y: float, k: Array, out: Array) -> None:
 
 
 @njit
-def _distort_point(model: int, x: float, y: float, k: Array, out: Array) -> None:
+def distort_point(model: int, x: float, y: float, k: Array, out: Array) -> None:
     if model == 1:
         _radtan(x, y, k, out)
     elif model == 2:
@@ -105,7 +105,7 @@ def _distort_all(model: int, k: Array, x_n: Array) -> tuple[Array, Array]:
     x_d, J = np.empty((m, 2)), np.empty((m, 2, 2))
     point = np.empty(6)
     for i in range(m):
-        _distort_point(model, x_n[i, 0], x_n[i, 1], k, point)
+        distort_point(model, x_n[i, 0], x_n[i, 1], k, point)
         x_d[i, 0], x_d[i, 1] = point[0], point[1]
         J[i, 0, 0], J[i, 0, 1], J[i, 1, 0], J[i, 1, 1] = point[2], point[3], point[4], point[5]
     return x_d, J
@@ -115,7 +115,7 @@ def _distort_all(model: int, k: Array, x_n: Array) -> tuple[Array, Array]:
 def _undistort_all(
     model: int, k: Array, target: Array, max_radius: float
 ) -> tuple[Array, Array, BoolArray]:
-    """Newton's method on `_distort_point` for every row of target (m, 2)."""
+    """Newton's method on `distort_point` for every row of target (m, 2)."""
     m = len(target)
     x_n, J, valid = np.zeros((m, 2)), np.zeros((m, 2, 2)), np.zeros(m, dtype=np.bool_)
     point = np.empty(6)
@@ -128,7 +128,7 @@ def _undistort_all(
                 x, y = u * np.tan(min(theta, 1.48)) / theta, v * np.tan(min(theta, 1.48)) / theta
         residual = np.inf
         for _ in range(_NEWTON_STEPS):
-            _distort_point(model, x, y, k, point)
+            distort_point(model, x, y, k, point)
             eu, ev = u - point[0], v - point[1]
             residual = max(abs(eu), abs(ev))
             if residual < _NEWTON_TOLERANCE:

@@ -34,7 +34,8 @@ def drop_stale_code(folders: Iterable[Path]) -> None:
             continue
 
 
-drop_stale_code([Path(__file__).parent])
+_HERE = Path(__file__).parent
+drop_stale_code([_HERE, *(d for d in _HERE.iterdir() if d.is_dir())])
 
 
 def njit(function: Callable[P, T]) -> Callable[P, T]:

@@ -11,6 +11,7 @@ from tagvo.errors import ConfigError
 from tagvo.information import FloorConfig
 from tagvo.joint import JointConfig
 from tagvo.outliers import IqrConfig
+from tagvo.track.settings import TrackConfig
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -50,6 +51,7 @@ class TagvoConfig(BaseModel, frozen=True, extra="forbid"):
     noise: NoiseConfig = NoiseConfig()
     floor: FloorConfig = FloorConfig()
     detector: DetectorConfig = DetectorConfig()
+    track: TrackConfig = TrackConfig()
     filters: FilterConfig = FilterConfig.model_validate({})
 
 

@@ -10,8 +10,9 @@ from tagvo.camera import Camera
 from tagvo.config import TagvoConfig
 from tagvo.decide import Candidates, best_joint, measure_fused, measure_joint
 from tagvo.detect import Detector, make_detector
+from tagvo.detect.apriltag import AprilTagDetector
 from tagvo.detect.blur import corner_sigma, edge_spread
-from tagvo.detect.edges import cell_width
+from tagvo.detect.edges import Gray, cell_width
 from tagvo.detect.filters import filter_detections
 from tagvo.detect.protocol import gray_image
 from tagvo.errors import TagvoError
@@ -33,6 +34,7 @@ from tagvo.records import (
 from tagvo.selection import SELECT
 from tagvo.tagmap import TagMap
 from tagvo.tagpose import solve_tags
+from tagvo.track.tracker import Tracker
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,9 +57,10 @@ class FusedPose:
 class Trace:
     """Every intermediate of one frame, for reports and tests; None where a stage was not reached.
 
-    counts: detections dropped, by cause; observations, tag_poses, candidates, bodies: of the n
-    tags on the map; selected (n,) by THS; kept (k,) rows of those left by OR; fused, joint: the
-    two poses; pose: the output; reason: why there is none.
+    counts: detections dropped, by cause, and how they were found (tracked_frames, search_CAUSE);
+    observations, tag_poses, candidates, bodies: of the n tags on the map; selected (n,) by THS;
+    kept (k,) rows of those left by OR; fused, joint: the two poses; pose: the output; reason: why
+    there is none.
     """
 
     t_ns: int
@@ -80,7 +83,8 @@ def _no_lap(stage: str) -> None:
 
 
 class TagVO:
-    """The tag visual odometry of one camera over one map; owns a detector and no state."""
+    """The tag visual odometry of one camera over one map; owns a detector and, with
+    `track.mode: on`, a tracker: it remembers which strip it searched, nothing of poses."""
 
     def __init__(
         self,
@@ -99,6 +103,7 @@ class TagVO:
         self.tag_map = tag_map
         self.config = config or TagvoConfig()
         self._detector = detector
+        self._tracker: Tracker | None = None
         self._lap = lap
 
     def __call__(self, frame: Frame, prior: PosePrior | None = None) -> PoseMeasurement | None:
@@ -108,11 +113,12 @@ class TagVO:
     def trace(self, frame: Frame, prior: PosePrior | None = None) -> Trace:
         """The pose of the camera at this frame with every intermediate."""
         cfg, lap = self.config, self._lap
-        found = self.detect(frame)
+        found, how = self._detect(frame, prior)
         lap("detect")
         det, rows, counts = filter_detections(
             found, self.tag_map, cfg.filters, self.camera.resolution
         )
+        counts |= how
         obs, counts["not_undistorted"] = observe(det, rows, self.camera, cfg.noise.corner_px)
         if not len(obs):
             reason = "no_tags" if not len(found) else "no_usable_tags"
@@ -144,10 +150,46 @@ class TagVO:
 
     def detect(self, frame: Frame) -> Detections:
         """Tags of a frame that brings its own, or found in its image with a sigma each corner."""
+        return self._detect(frame, None)[0]
+
+    def _detect(self, frame: Frame, prior: PosePrior | None) -> tuple[Detections, dict[str, int]]:
+        """Tags of a frame that brings its own, tracked by a prior, or found in its image.
+
+        Those of an image come with a sigma each corner; the counts say how they were found.
+        """
         if frame.detections is not None:
-            return frame.detections
+            return frame.detections, {}
         if frame.image is None:
             raise TagvoError(f"frame {frame.t_ns}: neither an image nor detections")
+        gray = gray_image(frame.image)
+        if gray.shape[::-1] != self.camera.resolution:
+            (height, width), (w, h) = gray.shape, self.camera.resolution
+            raise TagvoError(
+                f"frame {frame.t_ns}: {width}x{height} pixels; the camera file says {w}x{h}"
+            )
+        if self.config.track.mode == "off":
+            return self._search(gray), {}
+        if self._tracker is None:
+            self._tracker = Tracker(self.camera, self.tag_map, self.config.track)
+        tracked = self._tracker(gray, frame.t_ns, prior, self._search)
+        if tracked.detections is None:
+            return self._search(gray, self._decimate(frame.t_ns, prior)), tracked.counts
+        return self._with_floor(tracked.detections), tracked.counts
+
+    def _decimate(self, t_ns: int, prior: PosePrior | None) -> float | None:
+        """Of a search of the whole image, by the tags expected in it; None: the usual one."""
+        if self._tracker is None or not self.config.track.adaptive:
+            return None
+        largest_only = self.config.pose == "fused" and self.config.select != "ALL"
+        return self._tracker.decimate(prior, t_ns, largest_only)
+
+    def _with_floor(self, found: Detections) -> Detections:
+        """Tracked tags with the share of the configured noise that no residual shows."""
+        floor = 0.5 * self.config.noise.image_px
+        return replace(found, sigma_px=np.hypot(found.sigma_px, floor))
+
+    def _search(self, gray: Gray, decimate: float | None = None) -> Detections:
+        """Tags found in a grey image, or in a part of one, with a sigma each corner."""
         cfg, family, bits = self.config, self.tag_map.family, self.tag_map.border_bits
         if self._detector is None:
             d = cfg.detector
@@ -155,13 +197,10 @@ class TagVO:
                 d.library, family, border_bits=bits, decimate=d.decimate,
                 max_hamming=d.max_hamming, threads=d.threads,
             )  # fmt: skip
-        gray = gray_image(frame.image)
-        if gray.shape[::-1] != self.camera.resolution:
-            (height, width), (w, h) = gray.shape, self.camera.resolution
-            raise TagvoError(
-                f"frame {frame.t_ns}: {width}x{height} pixels; the camera file says {w}x{h}"
-            )
-        found = self._detector.detect(gray)
+        if decimate is not None and isinstance(self._detector, AprilTagDetector):
+            found = self._detector.detect(gray, decimate)
+        else:
+            found = self._detector.detect(gray)
         if not len(found):
             return found
         if not cfg.noise.blur:

@@ -5,7 +5,17 @@ import sys
 import typer
 
 from tagvo.errors import TagvoError
-from vio.commands import compare, daemon, demo, doctor, replay, run, simulate, warmup
+from vio.commands import (
+    bench,
+    compare,
+    daemon,
+    demo,
+    doctor,
+    replay,
+    run,
+    simulate,
+    warmup,
+)
 from vio.commands import map as map_commands
 from vio.errors import VioError
 from vio.interrupt import interruptible
@@ -24,6 +34,7 @@ app.command("demo")(demo.command)
 app.command("daemon")(daemon.command)
 app.command("replay")(replay.command)
 app.command("simulate")(simulate.command)
+app.command("bench")(bench.command)
 app.command("warmup")(warmup.command)
 app.command("doctor")(doctor.command)
 app.add_typer(map_commands.app, name="map")

@@ -1,7 +1,9 @@
 """Times the stages of the work from outside: core code reads no clock, it only says `lap`."""
 
+import os
 import time
 from collections import deque
+from pathlib import Path
 
 import numpy as np
 
@@ -38,6 +40,20 @@ class Stopwatch:
         """p50 and p99 of each stage that ran [ms], in the order of the pipeline."""
         took = {s: np.array(list(self._ns[s])) for s in (*STAGES, "total") if s in self._ns}
         return {s: _quantiles(ns * 1e-6) for s, ns in took.items()}
+
+
+def clocks_ns() -> tuple[int, int]:
+    """Wall time and CPU time of this thread [ns]; differences alone mean something."""
+    return time.perf_counter_ns(), time.thread_time_ns()
+
+
+def resident_mb() -> float:
+    """Memory of this process that is in RAM [MB], 0 where the system does not say (no /proc)."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0.0
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def _quantiles(ms: "np.ndarray[tuple[int, ...], np.dtype[np.float64]]") -> dict[str, float]:

@@ -10,10 +10,12 @@ import numpy as np
 from tagvo.camera import Camera
 from tagvo.config import TagvoConfig
 from tagvo.detect.filters import FilterConfig
+from tagvo.detect.protocol import no_detections
 from tagvo.families import FAMILIES
 from tagvo.pipeline import TagVO, Trace
-from tagvo.records import Detections, Frame, PoseMeasurement
-from tagvo.tagmap import map_from_dict
+from tagvo.records import Detections, Frame, PoseMeasurement, PosePrior
+from tagvo.tagmap import TagMap, map_from_dict
+from tagvo.track import TrackConfig, Tracker
 from vio.estimator import USUAL_NOISE, Estimator
 from vio.records import ImuSample
 from vio.settings import VioConfig
@@ -46,6 +48,20 @@ def warm_up(
     if vio is not None and trace.pose is not None:
         _warm_filter(vo, frames[-1], trace, trace.pose, vio)
     return trace.pose
+
+
+def warm_tracker(tag_map: TagMap, camera: Camera, config: TrackConfig | None = None) -> None:
+    """Track a picture of nothing, so that the tracker's code is there before the first frame."""
+    width, height = camera.resolution
+    image = np.zeros((height, width), dtype=np.uint8)
+    middle = tag_map.p_WT.mean(axis=0)
+    nearest = int(np.argmin(np.linalg.norm(tag_map.p_WT - middle, axis=1)))
+    R_WC = tag_map.R_WT[nearest] @ np.diag([1.0, -1.0, -1.0])
+    p_WC = tag_map.p_WT[nearest] + 4.0 * tag_map.size[nearest] * tag_map.R_WT[nearest][:, 2]
+    prior = PosePrior(0, p_WC, R_WC, 1e-6 * np.eye(6))
+    tracker = Tracker(camera, tag_map, config or TrackConfig(mode="on"))
+    tracker(image, 0, prior, lambda part: no_detections())
+    tracker.decimate(prior, 0, False)
 
 
 def _warm_filter(

@@ -61,10 +61,13 @@ class AprilTagDetector:
             )
         return self._detectors[decimate]
 
-    def detect(self, image: Gray) -> Detections:
-        """Tags in a grey (h, w) or BGR (h, w, 3) image, in the order the library gives them."""
+    def detect(self, image: Gray, decimate: float | None = None) -> Detections:
+        """Tags in a grey (h, w) or BGR (h, w, 3) image, in the order the library gives them.
+
+        decimate: for this image, where the detector was made with none.
+        """
         gray = gray_image(image)
-        decimate = self._decimate or decimate_for(gray.shape[1])
+        decimate = self._decimate or decimate or decimate_for(gray.shape[1])
         if min(gray.shape) < 4 * decimate + 4:  # below about 3 decimated pixels the library crashes
             return no_detections()
         found = self._at(decimate).detect(gray)

@@ -16,7 +16,7 @@ from vio.interrupt import gently
 from vio.run import RunResult, run
 from vio.sources.log import FlightLog
 from vio.stopwatch import Stopwatch
-from vio.warmup import warm_up
+from vio.warmup import warm_tracker, warm_up
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -56,11 +56,14 @@ def replay_log(
         )
     with waiting("loading compiled code (the first run compiles it, up to a minute)"):
         warm_up(log.camera, config.tagvo, None if vo_only or log.imu is None else config.vio)
+        if config.tagvo.track.mode == "on":
+            warm_tracker(log.tag_map, log.camera, config.tagvo.track)
     watch = Stopwatch()
     vo = TagVO(log.camera, log.tag_map, config.tagvo, lap=watch.lap)
     vio, warnings = (None, []) if vo_only else _filter(log, config, vo)
     estimators = [*arms(log, config), *([] if vio is None else [vio])]
-    ask = config.tagvo.ambiguity == "prior" and vio is not None
+    tracks = config.tagvo.track.mode == "on"
+    ask = (tracks or config.tagvo.ambiguity == "prior") and vio is not None
     prior = vio.prior if ask and vio else _no_prior
     with progress(log.frame_count, "frames") as step, gently() as stop:
         result = run(log.events(), vo, estimators, watch, step, prior, stop)

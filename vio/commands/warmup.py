@@ -13,10 +13,11 @@ def command() -> None:
     """
     with opt.waiting("compiling (the first time takes up to two minutes)"):
         from tagvo.camera_io import load_camera
+        from tagvo.tagmap import load_map
         from vio.assets import config_path
         from vio.config import Config
         from vio.stopwatch import Stopwatch
-        from vio.warmup import warm_up
+        from vio.warmup import warm_tracker, warm_up
 
         config, watch = Config(), Stopwatch()
         watch.start()
@@ -24,5 +25,6 @@ def command() -> None:
         for pose in ("fused", "joint"):
             tagvo = config.tagvo.model_copy(update={"pose": pose})
             warm_up(camera, tagvo, config.vio)
+        warm_tracker(load_map(config_path("maps/arena.yaml")), camera)
         watch.stop()
     typer.echo(f"compiled code is ready: {watch.summary()['total']['p50'] / 1e3:.1f} s")

@@ -1,0 +1,88 @@
+"""What the tracker knows of every tag on the map: its printed cells and its geometry, as arrays."""
+
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tagvo.bitmaps import tag_bitmap
+from tagvo.camera import MODELS, Camera
+from tagvo.families import Family
+from tagvo.geometry import Array
+from tagvo.tagmap import TagMap
+
+Cells: TypeAlias = NDArray[np.int8]
+Gray: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
+_IDS_LOOKED_AT = 24  # to find the cells of a family that no id uses
+
+
+class Lens(NamedTuple):
+    """A camera as the kernels take it; intrinsics (4,), coeffs (8,), size (2,) width, height."""
+
+    model: int
+    intrinsics: Array
+    coeffs: Array
+    size: Array
+    max_radius: float
+
+
+class MapArrays(NamedTuple):
+    """A map of n tags as the kernels take it.
+
+    R_WT (n, 3, 3), p_WT (n, 3), corners_T (n, 4, 3), laying (n, 6): of the map; cells (n, c, c):
+    the whole print upright, white 1, black -1, 0: may be anything; border: cells across the square
+    that the corners span; sense: sign of the grey step from inside to outside across its edge.
+    """
+
+    R_WT: Array
+    p_WT: Array
+    corners_T: Array
+    laying: Array
+    cells: Cells
+    border: int
+    sense: float
+
+
+def printed_cells(family: Family, tag_ids: NDArray[np.int64], border_bits: int) -> Cells:
+    """Cells of tags (n,) -> (n, c, c): 1 white, -1 black, 0 where nothing is promised.
+
+    Nothing is promised of cells outside the black and white rings that no id of the family sets
+    (the corners of circular tags), nor of a white margin (on AprilGrids squares touch it).
+    """
+    ids = tag_ids.tolist()
+    signs = np.array([tag_bitmap(family, i, border_bits) for i in ids]).astype(np.int16) // 255
+    cells = (2 * signs - 1).astype(np.int8)
+    few = np.linspace(0, family.ids - 1, min(_IDS_LOOKED_AT, family.ids)).astype(int).tolist()
+    seen = np.array([tag_bitmap(family, i, border_bits) for i in few])
+    unused = (seen == seen[0]).all(axis=0)
+    outside = np.ones_like(unused)
+    pad = (family.total_cells - family.border_cells) // 2
+    ring = pad - 1 if family.reversed_border else pad
+    outside[ring : len(unused) - ring, ring : len(unused) - ring] = False
+    cells[:, outside & unused] = 0
+    return cells
+
+
+def map_arrays(tag_map: TagMap) -> MapArrays:
+    """The arrays of a map; draws the cells of all its tags once."""
+    family, bits = tag_map.family, tag_map.border_bits
+    return MapArrays(
+        np.ascontiguousarray(tag_map.R_WT),
+        np.ascontiguousarray(tag_map.p_WT),
+        np.ascontiguousarray(tag_map.corners_T),
+        np.ascontiguousarray(tag_map.laying_sigma),
+        printed_cells(family, tag_map.tag_id, bits),
+        family.border_cells + 2 * (bits - 1),
+        -1.0 if family.reversed_border else 1.0,
+    )
+
+
+def lens_of(camera: Camera) -> Lens:
+    """The arrays of a camera."""
+    return Lens(
+        MODELS[camera.model],
+        np.array(camera.intrinsics, dtype=float),
+        np.array(camera.kernel_coeffs, dtype=float),
+        np.array(camera.resolution, dtype=float),
+        float(min(camera.max_radius, 1e3)),
+    )

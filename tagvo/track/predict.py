@@ -1,0 +1,220 @@
+"""Where the tags of a map must be in the image, and how sure that is; compiled.
+
+The camera pose's error is [dp_WC in W, right rotation in C], as everywhere.
+"""
+
+import math
+
+import numpy as np
+
+from tagvo.camera import distort_point
+from tagvo.compiled import inverse_spd, njit, rotated
+from tagvo.geometry import Array, IntArray
+from tagvo.track.cells import Lens, MapArrays
+
+_NEAR = 0.02  # [m] along z of C
+_MIN_COSINE = 0.15  # a tag seen flatter than 81 deg is not worth a look
+_HUBER = 3.0
+_STEPS = 3  # of Gauss-Newton; the last one only looks at what is left
+
+
+@njit
+def to_pixel(lens: Lens, x: float, y: float, out: Array) -> None:
+    """Pixel u, v of normalised x, y and du/dx, du/dy, dv/dx, dv/dy, into out (6,)."""
+    distort_point(lens.model, x, y, lens.coeffs, out)
+    fu, fv = lens.intrinsics[0], lens.intrinsics[1]
+    out[0] = out[0] * fu + lens.intrinsics[2]
+    out[1] = out[1] * fv + lens.intrinsics[3]
+    out[2] *= fu
+    out[3] *= fu
+    out[4] *= fv
+    out[5] *= fv
+
+
+@njit
+def project_tag(
+    R_WC: Array, p_WC: Array, tags: MapArrays, i: int, lens: Lens, quad_n: Array, quad_px: Array,
+    J: Array,
+) -> bool:  # fmt: skip
+    """Corners of tag i: quad_n (4, 2) normalised, quad_px (4, 2), J (4, 2, 6) d pixel / d pose.
+
+    False, and nothing to rely on, where the camera cannot see its face.
+    """
+    p = tags.p_WT[i]
+    dx, dy, dz = p_WC[0] - p[0], p_WC[1] - p[1], p_WC[2] - p[2]
+    z = -(R_WC[0, 2] * dx + R_WC[1, 2] * dy + R_WC[2, 2] * dz)
+    if z < _NEAR:
+        return False
+    R = tags.R_WT[i]
+    height = R[0, 2] * dx + R[1, 2] * dy + R[2, 2] * dz
+    if height < _MIN_COSINE * math.sqrt(dx * dx + dy * dy + dz * dz):
+        return False
+    point = np.empty(6)
+    for c in range(4):
+        X = tags.corners_T[i, c]
+        w0 = R[0, 0] * X[0] + R[0, 1] * X[1] + R[0, 2] * X[2] - dx
+        w1 = R[1, 0] * X[0] + R[1, 1] * X[1] + R[1, 2] * X[2] - dy
+        w2 = R[2, 0] * X[0] + R[2, 1] * X[1] + R[2, 2] * X[2] - dz
+        cx = R_WC[0, 0] * w0 + R_WC[1, 0] * w1 + R_WC[2, 0] * w2
+        cy = R_WC[0, 1] * w0 + R_WC[1, 1] * w1 + R_WC[2, 1] * w2
+        cz = R_WC[0, 2] * w0 + R_WC[1, 2] * w1 + R_WC[2, 2] * w2
+        if cz < _NEAR:
+            return False
+        x, y = cx / cz, cy / cz
+        if x * x + y * y >= lens.max_radius * lens.max_radius:
+            return False
+        to_pixel(lens, x, y, point)
+        quad_n[c, 0], quad_n[c, 1] = x, y
+        quad_px[c, 0], quad_px[c, 1] = point[0], point[1]
+        for r in range(2):
+            jx, jy = point[2 + 2 * r], point[3 + 2 * r]
+            a0, a1, a2 = jx / cz, jy / cz, -(jx * x + jy * y) / cz
+            for k in range(3):
+                J[c, r, k] = -(a0 * R_WC[k, 0] + a1 * R_WC[k, 1] + a2 * R_WC[k, 2])
+            J[c, r, 3] = a1 * cz - a2 * cy
+            J[c, r, 4] = a2 * cx - a0 * cz
+            J[c, r, 5] = a0 * cy - a1 * cx
+    return True
+
+
+@njit
+def laying_px(R_WC: Array, p_WC: Array, tags: MapArrays, i: int, lens: Lens) -> float:
+    """How far a laying error of one sigma moves the corners of tag i in the image, about [px]."""
+    s, X = tags.laying[i], tags.corners_T[i, 1]
+    r2 = X[0] * X[0] + X[1] * X[1]
+    p = tags.p_WT[i]
+    dx, dy, dz = p[0] - p_WC[0], p[1] - p_WC[1], p[2] - p_WC[2]
+    z = R_WC[0, 2] * dx + R_WC[1, 2] * dy + R_WC[2, 2] * dz
+    across = s[0] * s[0] + s[5] * s[5] * r2
+    slant = max((dx * dx + dy * dy + dz * dz) / (z * z) - 1.0, 0.0)
+    out_of_plane = (s[2] * s[2] + s[3] * s[3] * r2) * slant
+    return float(math.sqrt(across + out_of_plane) * lens.intrinsics[0] / z)
+
+
+@njit
+def corner_spread(J: Array, P: Array, out: Array) -> None:
+    """Covariance of each corner [px^2] from the pose's: J (4, 2, 6), P (6, 6) -> out (4, 3).
+
+    out: the entries uu, uv, vv.
+    """
+    row = np.empty((2, 6))
+    for c in range(4):
+        for r in range(2):
+            for k in range(6):
+                v = 0.0
+                for m in range(6):
+                    v += J[c, r, m] * P[m, k]
+                row[r, k] = v
+        uu = uv = vv = 0.0
+        for k in range(6):
+            uu += row[0, k] * J[c, 0, k]
+            uv += row[0, k] * J[c, 1, k]
+            vv += row[1, k] * J[c, 1, k]
+        out[c, 0], out[c, 1], out[c, 2] = uu, uv, vv
+
+
+@njit
+def largest_sigma(spread: Array) -> float:
+    """Standard deviation along the worst direction of the worst corner; spread (4, 3) [px^2]."""
+    worst = 0.0
+    for c in range(4):
+        uu, uv, vv = spread[c]
+        mean, half = 0.5 * (uu + vv), 0.5 * (uu - vv)
+        worst = max(worst, mean + math.sqrt(half * half + uv * uv))
+    return math.sqrt(max(worst, 0.0))
+
+
+@njit
+def extent(quad_px: Array) -> tuple[float, float]:
+    """Shortest side and least height of a quad (4, 2) across a side [px]."""
+    d0x, d0y = quad_px[2, 0] - quad_px[0, 0], quad_px[2, 1] - quad_px[0, 1]
+    d1x, d1y = quad_px[3, 0] - quad_px[1, 0], quad_px[3, 1] - quad_px[1, 1]
+    area = 0.5 * (d0x * d1y - d0y * d1x)
+    shortest, longest = np.inf, 0.0
+    for k in range(4):
+        x, y = quad_px[k, 0] - quad_px[k - 1, 0], quad_px[k, 1] - quad_px[k - 1, 1]
+        length = math.sqrt(x * x + y * y)
+        shortest, longest = min(shortest, length), max(longest, length)
+    return shortest, area / max(longest, 1e-9)
+
+
+@njit
+def inside(quad_px: Array, lens: Lens, margin: float) -> bool:
+    """Whether all four corners lie at least `margin` [px] within the image's rim."""
+    for c in range(4):
+        u, v = quad_px[c, 0], quad_px[c, 1]
+        if not (margin <= u <= lens.size[0] - 1.0 - margin):
+            return False
+        if not (margin <= v <= lens.size[1] - 1.0 - margin):
+            return False
+    return True
+
+
+@njit
+def posterior(
+    R0: Array, p0: Array, P0: Array, tags: MapArrays, lens: Lens, rows: IntArray, count: int,
+    corners_px: Array, sigma_px: Array, R_WC: Array, p_WC: Array, P: Array, chi: Array,
+) -> bool:  # fmt: skip
+    """The pose by a prior (R0, p0, P0) and the corners of tags, robust against a few wrong tags.
+
+    rows (count,), corners_px (count, 4, 2), sigma_px (count, 4). Writes R_WC, p_WC, P (6, 6) and
+    chi (count,): rms of each tag's residual over its sigma, laying included. Gauss-Newton on the
+    posterior with Huber's weight a tag; False: nothing positive to invert.
+    """
+    info, H, b = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 1))
+    quad_n, quad_px, J = np.empty((4, 2)), np.empty((4, 2)), np.empty((4, 2, 6))
+    xi = np.zeros(6)
+    if not inverse_spd(P0, info):
+        return False
+    R_WC[:], p_WC[:] = R0, p0
+    for step in range(_STEPS):
+        for a in range(6):
+            b[a, 0] = 0.0
+            for k in range(6):
+                H[a, k] = info[a, k]
+                b[a, 0] -= info[a, k] * xi[k]
+        for t in range(count):
+            i = rows[t]
+            chi[t] = np.inf
+            if not project_tag(R_WC, p_WC, tags, i, lens, quad_n, quad_px, J):
+                continue
+            lay = laying_px(R_WC, p_WC, tags, i, lens)
+            square = 0.0
+            for c in range(4):
+                for r in range(2):
+                    e = corners_px[t, c, r] - quad_px[c, r]
+                    square += e * e / (sigma_px[t, c] * sigma_px[t, c] + lay * lay)
+            chi[t] = math.sqrt(square / 8.0)
+            weight = 1.0 if chi[t] <= _HUBER else _HUBER / chi[t]
+            for c in range(4):
+                w = weight / (sigma_px[t, c] * sigma_px[t, c] + 4.0 * lay * lay)
+                for r in range(2):
+                    e = corners_px[t, c, r] - quad_px[c, r]
+                    for a in range(6):
+                        f = w * J[c, r, a]
+                        b[a, 0] += f * e
+                        for k in range(a + 1):  # the lower half is all that is read
+                            H[a, k] += f * J[c, r, k]
+        if not inverse_spd(H, P):
+            return False
+        if step == _STEPS - 1:
+            break
+        for a in range(6):
+            for k in range(6):
+                xi[a] += P[a, k] * b[k, 0]
+        rotated(R0, xi[3:], R_WC)
+        for k in range(3):
+            p_WC[k] = p0[k] + xi[k]
+    return True
+
+
+@njit
+def sides_in_view(R_WC: Array, p_WC: Array, tags: MapArrays, lens: Lens, sides: Array) -> None:
+    """Shortest image side [px] of every tag wholly in view into sides (n,), 0: not in view."""
+    quad_n, quad_px, J = np.empty((4, 2)), np.empty((4, 2)), np.empty((4, 2, 6))
+    for i in range(len(tags.p_WT)):
+        sides[i] = 0.0
+        if project_tag(R_WC, p_WC, tags, i, lens, quad_n, quad_px, J) and inside(
+            quad_px, lens, 0.0
+        ):
+            sides[i] = extent(quad_px)[0]

@@ -1,0 +1,296 @@
+"""Is this the tag it should be, and does it lie just there? Its cells and their edges; compiled.
+
+The unit square is the tag's border: corner TL at (0, 0), BR at (1, 1).
+"""
+
+import math
+
+import numpy as np
+
+from tagvo.compiled import cholesky, njit
+from tagvo.geometry import Array
+from tagvo.track.cells import Cells, Gray, Lens
+from tagvo.track.edges import grey
+from tagvo.track.predict import to_pixel
+
+_MIN_SEEN = 0.6  # share of the promised cells that must lie in the image
+_CLEAR = 0.15  # share of the contrast by which a cell must be on its side of the threshold
+_LEVELS = 4  # unknowns of the light on a tag: mean, slopes in u and v, half the contrast
+_ACROSS_PX = 1.2  # how far on either side of an inner edge the light is looked at
+_OFF = 0.75  # mean response of inner edges, 0 aligned, 1 off by 1.2 px or more
+_TOP, _NEAR_BEST = 2, 0.15  # steps around the best correlation, and how much worse is as good
+
+
+@njit
+def unit_square(quad: Array, H: Array) -> bool:
+    """Homography H (3, 3) from the unit square to a quad (4, 2) (Heckbert's closed form)."""
+    sx = quad[0, 0] - quad[1, 0] + quad[2, 0] - quad[3, 0]
+    sy = quad[0, 1] - quad[1, 1] + quad[2, 1] - quad[3, 1]
+    ax, ay = quad[1, 0] - quad[2, 0], quad[1, 1] - quad[2, 1]
+    bx, by = quad[3, 0] - quad[2, 0], quad[3, 1] - quad[2, 1]
+    det = ax * by - ay * bx
+    if abs(det) < 1e-15:
+        return False
+    g, h = (sx * by - sy * bx) / det, (ax * sy - ay * sx) / det
+    for r in range(2):
+        H[r, 0] = quad[1, r] - quad[0, r] + g * quad[1, r]
+        H[r, 1] = quad[3, r] - quad[0, r] + h * quad[3, r]
+        H[r, 2] = quad[0, r]
+    H[2, 0], H[2, 1], H[2, 2] = g, h, 1.0
+    return True
+
+
+@njit
+def _place(H: Array, lens: Lens, u: float, v: float, point: Array) -> None:
+    """Pixel (and its derivatives, as `to_pixel`) of a place on the tag."""
+    w = H[2, 0] * u + H[2, 1] * v + 1.0
+    x = (H[0, 0] * u + H[0, 1] * v + H[0, 2]) / w
+    y = (H[1, 0] * u + H[1, 1] * v + H[1, 2]) / w
+    to_pixel(lens, x, y, point)
+
+
+@njit
+def _within(image: Gray, u: float, v: float, margin: float) -> bool:
+    h, w = image.shape
+    return bool(margin <= u < w - 1.0 - margin and margin <= v < h - 1.0 - margin)
+
+
+@njit
+def cell_light(
+    image: Gray, lens: Lens, H: Array, cells: Cells, border: int, reach_px: float, light: Array
+) -> int:
+    """Grey value of each promised cell into light (c, c), NaN where out of the image; -> how many.
+
+    reach_px: the mean of five samples in a cross of this size, 0: the centre alone.
+    """
+    c = len(cells)
+    pad, point, count = 0.5 * (c - border), np.empty(6), 0
+    for i in range(c):
+        for j in range(c):
+            light[i, j] = np.nan
+            if cells[i, j] == 0:
+                continue
+            _place(H, lens, (j + 0.5 - pad) / border, (i + 0.5 - pad) / border, point)
+            u, v = point[0], point[1]
+            if not _within(image, u, v, reach_px):
+                continue
+            value = grey(image, u, v)
+            if reach_px > 0.0:
+                d = reach_px
+                value += grey(image, u - d, v) + grey(image, u + d, v)
+                value += grey(image, u, v - d) + grey(image, u, v + d)
+                value *= 0.2
+            light[i, j] = value
+            count += 1
+    return count
+
+
+@njit
+def fit_light(light: Array, cells: Cells, model: Array) -> bool:
+    """Least squares light = m0 + m1 j + m2 i + m3 cell over the cells seen; model (4,)."""
+    c = len(cells)
+    A, b, x = np.zeros((_LEVELS, _LEVELS)), np.zeros(_LEVELS), np.empty(_LEVELS)
+    middle = 0.5 * (c - 1)
+    for i in range(c):
+        for j in range(c):
+            if cells[i, j] != 0 and not np.isnan(light[i, j]):
+                x[0], x[1], x[2], x[3] = 1.0, (j - middle) / c, (i - middle) / c, cells[i, j]
+                for m in range(_LEVELS):
+                    b[m] += x[m] * light[i, j]
+                    for n in range(_LEVELS):
+                        A[m, n] += x[m] * x[n]
+    for m in range(_LEVELS):
+        A[m, m] += 1e-6
+    if not cholesky(A):
+        return False
+    for m in range(_LEVELS):
+        for n in range(m):
+            b[m] -= A[m, n] * b[n]
+        b[m] /= A[m, m]
+    for m in range(_LEVELS - 1, -1, -1):
+        for n in range(m + 1, _LEVELS):
+            b[m] -= A[n, m] * b[n]
+        b[m] /= A[m, m]
+    model[:] = b
+    return True
+
+
+@njit
+def wrong_cells(light: Array, cells: Cells, model: Array) -> tuple[int, float]:
+    """Cells that read wrong, or hardly right, by a fitted light; and the mean clearance [grey].
+
+    The clearance is that of the worse colour, as the decision margin of the AprilTag library.
+    """
+    c, wrong = len(cells), 0
+    middle = 0.5 * (c - 1)
+    white = black = whites = blacks = 0.0
+    for i in range(c):
+        for j in range(c):
+            if cells[i, j] == 0 or np.isnan(light[i, j]):
+                continue
+            level = model[0] + model[1] * (j - middle) / c + model[2] * (i - middle) / c
+            d = (light[i, j] - level) * cells[i, j]
+            if d < _CLEAR * model[3]:
+                wrong += 1
+            if cells[i, j] > 0:
+                white += d
+                whites += 1.0
+            else:
+                black += d
+                blacks += 1.0
+    return wrong, min(white / max(whites, 1.0), black / max(blacks, 1.0))
+
+
+@njit
+def inner_edges_off(
+    image: Gray, lens: Lens, H: Array, cells: Cells, border: int, model: Array
+) -> float:
+    """How far the edges between unlike cells lie from where they should: 0 .. 1 (1.2 px or more).
+
+    Each edge answers with the mean light just at and around it, less the threshold, signed by its
+    sense; means over the left and right, and the upper and lower half of the tag, so that a
+    stretched fit shows as well as a shifted one. -> the largest of them.
+    """
+    c = len(cells)
+    pad, middle, point = 0.5 * (c - border), 0.5 * (c - 1), np.empty(6)
+    sums, counts = np.zeros((2, 2)), np.zeros((2, 2))
+    for axis in range(2):
+        for i in range(c):
+            for j in range(c - 1):
+                r, q = (i, j) if axis == 0 else (j, i)
+                r2, q2 = (i, j + 1) if axis == 0 else (j + 1, i)
+                if cells[r, q] * cells[r2, q2] >= 0:
+                    continue
+                x, y = 0.5 * (q + q2), 0.5 * (r + r2)
+                _place(H, lens, (x + 0.5 - pad) / border, (y + 0.5 - pad) / border, point)
+                if not _within(image, point[0], point[1], 2.0):
+                    continue
+                value = _around(image, H, axis, point)
+                level = model[0] + model[1] * (x - middle) / c + model[2] * (y - middle) / c
+                sign = cells[r2, q2]
+                half = 0 if (x if axis == 0 else y) < middle else 1
+                sums[axis, half] += sign * (value - level) / max(model[3], 1e-6)
+                counts[axis, half] += 1.0
+    worst = 0.0
+    for axis in range(2):
+        for half in range(2):
+            if counts[axis, half] >= 4.0:
+                worst = max(worst, abs(sums[axis, half]) / counts[axis, half])
+    return worst
+
+
+@njit
+def _around(image: Gray, H: Array, axis: int, point: Array) -> float:
+    """Mean grey value at a pixel and 1.2 px to either side of it along the tag's x or y axis."""
+    du = point[2] * H[0, axis] + point[3] * H[1, axis]
+    dv = point[4] * H[0, axis] + point[5] * H[1, axis]
+    k = _ACROSS_PX / max(math.sqrt(du * du + dv * dv), 1e-9)
+    du, dv = k * du, k * dv
+    u, v = point[0], point[1]
+    total = grey(image, u - du, v - dv) + grey(image, u, v) + grey(image, u + du, v + dv)
+    return float(total / 3.0)
+
+
+@njit
+def is_there(
+    image: Gray, lens: Lens, quad_n: Array, cells: Cells, border: int, cell_px: float,
+    min_contrast: float, max_errors: int, light: Array,
+) -> tuple[int, float]:  # fmt: skip
+    """Wrong cells and margin of the tag in a quad (4, 2) [normalised]; -1: it is not this tag.
+
+    cell_px: width of a cell; light (c, c): scratch.
+    """
+    H, model = np.empty((3, 3)), np.empty(_LEVELS)
+    if not unit_square(quad_n, H):
+        return -1, 0.0
+    promised = 0
+    for i in range(len(cells)):
+        for j in range(len(cells)):
+            promised += 1 if cells[i, j] != 0 else 0
+    seen = cell_light(image, lens, H, cells, border, _reach(cell_px), light)
+    if seen < _MIN_SEEN * promised or not fit_light(light, cells, model):
+        return -1, 0.0
+    if model[3] < 0.5 * min_contrast:
+        return -1, 0.0
+    wrong, margin = wrong_cells(light, cells, model)
+    allowed = max_errors if seen == promised else 0
+    if wrong > allowed or inner_edges_off(image, lens, H, cells, border, model) > _OFF:
+        return -1, 0.0
+    return wrong, margin
+
+
+@njit
+def _reach(cell_px: float) -> float:
+    """Size of the cross that reads a cell: none in small cells, where its arms would leave it."""
+    return min(0.25 * cell_px, 3.0) if cell_px > 4.0 else 0.0
+
+
+@njit
+def find_pattern(
+    image: Gray, lens: Lens, quad_n: Array, cells: Cells, border: int, step: float, radius: float,
+    shift: Array,
+) -> float:  # fmt: skip
+    """Where the print is, shifted in the image, by the correlation of its cells; -> the best one.
+
+    quad_n (4, 2): predicted corners; all shifts within `radius` [px] at this step [px], each cell
+    by the nearest pixel to its centre; shift (2,) [px] receives the
+    best, the middle of those nearly as good around it.
+    """
+    c, H, point = len(cells), np.empty((3, 3)), np.empty(6)
+    shift[:] = 0.0
+    if not unit_square(quad_n, H):
+        return -1.0
+    at, sign, m = np.empty((c * c, 2)), np.empty(c * c), 0
+    pad = 0.5 * (c - border)
+    for i in range(c):
+        for j in range(c):
+            if cells[i, j] != 0:
+                _place(H, lens, (j + 0.5 - pad) / border, (i + 0.5 - pad) / border, point)
+                at[m, 0], at[m, 1], sign[m] = point[0], point[1], cells[i, j]
+                m += 1
+    n = math.ceil(radius / step)
+    score = np.full((2 * n + 3, 2 * n + 3), -1.0)
+    best, bi, bj = -1.0, n, n
+    for i in range(-n, n + 1):
+        for j in range(-n, n + 1):
+            if i * i + j * j > (n + 0.5) * (n + 0.5):
+                continue
+            value = _correlation(image, at, sign, m, j * step, i * step)
+            score[i + n + 1, j + n + 1] = value
+            if value > best:
+                best, bi, bj = value, i + n, j + n
+    if best <= 0.0:
+        return best
+    weight = du = dv = 0.0
+    for i in range(max(bi - _TOP, -1), min(bi + _TOP, 2 * n + 1) + 1):
+        for j in range(max(bj - _TOP, -1), min(bj + _TOP, 2 * n + 1) + 1):
+            w = score[i + 1, j + 1] - best + _NEAR_BEST
+            if w > 0.0:
+                weight += w
+                du += w * (j - n)
+                dv += w * (i - n)
+    shift[0], shift[1] = du / weight * step, dv / weight * step
+    return best
+
+
+@njit
+def _correlation(image: Gray, at: Array, sign: Array, m: int, du: float, dv: float) -> float:
+    """Normalised correlation of m cells with the image under a shift; -1: too few inside."""
+    h, w = image.shape
+    n = s = ss = p = pp = ps = 0.0
+    for k in range(m):
+        x, y = at[k, 0] + du + 0.5, at[k, 1] + dv + 0.5
+        if 0.0 <= x < w and 0.0 <= y < h:
+            g = float(image[np.uintp(y), np.uintp(x)])
+            n += 1.0
+            s += g
+            ss += g * g
+            p += sign[k]
+            pp += 1.0
+            ps += sign[k] * g
+    if n < _MIN_SEEN * m:
+        return -1.0
+    a, b = ss - s * s / n, pp - p * p / n
+    if a < 4.0 * n or b <= 0.0:  # flat: less than two grey values of scatter
+        return -1.0
+    return float((ps - p * s / n) / math.sqrt(a * b))

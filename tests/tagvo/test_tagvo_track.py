@@ -1,0 +1,326 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from oracles.false_lock_study import OFF_PX, lens, study
+from oracles.vision import central_difference
+from scipy.optimize import least_squares
+from simulated import arena, corners_seen, pinhole, pose_above
+
+from tagvo import geometry as geo
+from tagvo.bitmaps import tag_bitmap
+from tagvo.camera import project
+from tagvo.config import TagvoConfig
+from tagvo.detect.protocol import no_detections
+from tagvo.errors import TagvoError
+from tagvo.families import FAMILIES
+from tagvo.pipeline import TagVO
+from tagvo.records import Detections, Frame, PosePrior
+from tagvo.render import Look, render_view
+from tagvo.track import TrackConfig, Tracker
+from tagvo.track.cells import Lens, lens_of, map_arrays, printed_cells
+from tagvo.track.gate import (
+    GateState,
+    decimate_needed,
+    looks_mosaic,
+    prior_fault,
+    strip_due,
+    tracking_failed,
+)
+from tagvo.track.predict import corner_spread, laying_px, posterior, project_tag
+from tagvo.track.verify import is_there
+
+CAMERA, MAP = lens(), arena()
+LOW, HIGH = MAP.p_WT[:, :2].min(axis=0) + 0.4, MAP.p_WT[:, :2].max(axis=0) - 0.4
+COV = np.diag([0.01**2] * 3 + [np.radians(0.5) ** 2] * 3)
+TRACK = TagvoConfig.model_validate({"track": {"mode": "on"}})
+
+
+def view(seed, height=1.2, **keys):
+    rng = np.random.default_rng(seed)
+    R_WC, p_WC = pose_above(rng, height, LOW, HIGH)
+    image = render_view(
+        MAP, CAMERA, R_WC, p_WC, look=Look(texture=12.0), supersample=3, rng=rng,
+        **{"noise_sigma": 2.5, **keys},
+    )  # fmt: skip
+    return image, R_WC, p_WC, rng
+
+
+def prior_of(R_WC, p_WC, rng=None, cov=COV, t_ns=0):
+    xi = np.zeros(6) if rng is None else np.linalg.cholesky(cov) @ rng.standard_normal(6)
+    return PosePrior(t_ns, p_WC + xi[:3], R_WC @ geo.exp(xi[3:]), cov)
+
+
+def projected(R_WC, p_WC, i):
+    quad_n, quad_px, J = np.empty((4, 2)), np.empty((4, 2)), np.empty((4, 2, 6))
+    seen = project_tag(R_WC, p_WC, map_arrays(MAP), i, lens_of(CAMERA), quad_n, quad_px, J)
+    return seen, quad_px, J
+
+
+def test_prediction_is_the_cameras_own_projection_and_its_derivative():
+    R_WC, p_WC = pose_above(np.random.default_rng(1), 1.0, LOW, HIGH, tilt_deg=10.0)
+    rows, px = corners_seen(MAP, CAMERA, R_WC, p_WC)
+    for i in rows[::7].tolist():
+        seen, quad, J = projected(R_WC, p_WC, i)
+
+        def moved(xi, i=i):
+            return projected(R_WC @ geo.exp(xi[3:]), p_WC + xi[:3], i)[1].ravel()
+
+        assert seen
+        np.testing.assert_allclose(quad, px[i], atol=1e-9)
+        np.testing.assert_allclose(
+            J.reshape(8, 6), central_difference(moved, 6), rtol=1e-5, atol=1e-4
+        )
+
+
+def test_predicted_spread_is_that_of_sampled_priors():
+    rng = np.random.default_rng(2)
+    R_WC, p_WC = pose_above(rng, 1.2, LOW, HIGH)
+    A = rng.standard_normal((6, 6)) * np.sqrt(np.diag(COV))[:, None]
+    P = 0.05 * A @ A.T
+    i = int(corners_seen(MAP, CAMERA, R_WC, p_WC)[0][3])
+    out = np.empty((4, 3))
+    corner_spread(projected(R_WC, p_WC, i)[2], P, out)
+    xi = rng.multivariate_normal(np.zeros(6), P, 4000)
+    R, p = R_WC @ geo.exp(xi[:, 3:]), p_WC + xi[:, :3]
+    p_C = geo.transform(*(a[:, None] for a in geo.invert(R, p)), MAP.corners_W[i])
+    for c in range(4):
+        sampled = np.cov(project(CAMERA, p_C[:, c])[0].T)
+        want = np.array([sampled[0, 0], sampled[0, 1], sampled[1, 1]])
+        np.testing.assert_allclose(out[c], want, atol=0.08 * want.max())
+
+
+def test_posterior_is_the_least_squares_of_prior_and_corners():
+    rng = np.random.default_rng(3)
+    R_WC, p_WC = pose_above(rng, 1.2, LOW, HIGH)
+    rows, px = corners_seen(MAP, CAMERA, R_WC, p_WC)
+    rows = rows[:3].astype(np.int64)
+    prior, sigma = prior_of(R_WC, p_WC, rng), np.full((3, 4), 0.1)
+    measured = px[rows] + 0.1 * rng.standard_normal((3, 4, 2))
+    tags, camera = map_arrays(MAP), lens_of(CAMERA)
+    R, p, P, chi = np.empty((3, 3)), np.empty(3), np.empty((6, 6)), np.empty(3)
+    assert posterior(
+        prior.R_WC, prior.p_WC, prior.cov, tags, camera, rows, 3, measured, sigma, R, p, P, chi
+    )
+    lay = np.array([laying_px(R, p, tags, i, camera) for i in rows])
+    weight = 1.0 / np.sqrt(0.1**2 + 4.0 * lay**2)
+
+    def residual(xi):
+        pose = prior.R_WC @ geo.exp(xi[3:]), prior.p_WC + xi[:3]
+        at = np.array([projected(*pose, i)[1] for i in rows])
+        r = (measured - at) * weight[:, None, None]
+        return np.concatenate([r.ravel(), xi / np.sqrt(np.diag(COV))])
+
+    best = least_squares(residual, np.zeros(6), x_scale=np.sqrt(np.diag(COV)))
+    got = np.concatenate([p - prior.p_WC, geo.log(prior.R_WC.T @ R)])
+    np.testing.assert_allclose(got, best.x, atol=2e-4)
+    np.testing.assert_allclose(np.diag(P), np.diag(np.linalg.inv(best.jac.T @ best.jac)), rtol=0.05)
+
+
+@pytest.mark.parametrize("height", [0.8, 1.2, 2.0])
+def test_tracked_corners_are_the_exact_projection(height):
+    """In a distorted image, XL tags (bent sides) and S tags alike; the stated sigma is honest."""
+    errors, sigmas, found, of = [], [], 0, 0
+    for seed in range(4):
+        image, R_WC, p_WC, rng = view(seed, height)
+        tracker = Tracker(CAMERA, MAP, TrackConfig(mode="on", sweep_s=0.0, max_tags=200))
+        got = tracker(image, 0, prior_of(R_WC, p_WC, rng), lambda part: no_detections())
+        if got.counts == {"search_none_in_view": 1}:  # a low camera between the large tags
+            continue
+        assert got.detections is not None, got.counts
+        rows, px = corners_seen(MAP, CAMERA, R_WC, p_WC, 8.0)
+        side = np.linalg.norm(px[rows] - np.roll(px[rows], 1, axis=1), axis=2).min(axis=1)
+        big = rows[side >= 18.5]
+        found += np.isin(MAP.tag_id[big], got.detections.tag_id).sum()
+        of += len(big)
+        errors.append(got.detections.corners_px - px[MAP.rows(got.detections.tag_id)])
+        sigmas.append(got.detections.sigma_px)
+    error, sigma = np.concatenate(errors), np.concatenate(sigmas)
+    assert of >= 4
+    assert found >= 0.97 * of
+    assert np.sqrt(np.mean(error**2)) < 0.06
+    assert np.abs(error).max() < 0.6
+    assert 0.4 < np.sqrt(np.mean((error / sigma[..., None]) ** 2)) < 1.5
+
+
+FLAT = Lens(0, np.array([1.0, 1.0, 0.0, 0.0]), np.zeros(8), np.array([400.0, 400.0]), 1e6)
+
+
+def reads_as(picture, cells, border, max_errors=0):
+    """Wrong cells of a flat print with 8 px a cell, 16 px in from the image's corner; -1: no."""
+    n = len(cells)
+    pad = 16 - 0.5 + 8 * (n - border) / 2
+    a, b = pad, pad + 8 * border
+    quad = np.array([[a, a], [b, a], [b, b], [a, b]])
+    return is_there(picture, FLAT, quad, cells, border, 8.0, 10.0, max_errors, np.empty((n, n)))[0]
+
+
+def printed(bitmap):
+    return np.pad(np.kron(bitmap, np.ones((8, 8))).astype(np.uint8), 16, constant_values=128)
+
+
+@pytest.mark.parametrize("family", FAMILIES.values(), ids=lambda f: f.name)
+def test_the_cells_of_a_family_are_told_apart(family):
+    """Own print: no cell wrong; the print of another id, or the same turned: not this tag."""
+    rng = np.random.default_rng(4)
+    ids = np.unique(np.r_[0, family.ids - 1, rng.integers(0, family.ids, 40)])
+    cells = printed_cells(family, ids, 1)
+    pictures = [printed(tag_bitmap(family, int(i))) for i in ids]
+    for k in range(len(ids)):
+        assert reads_as(pictures[k], cells[k], family.border_cells) == 0
+        other = (k + 1) % len(ids)
+        assert reads_as(pictures[other], cells[k], family.border_cells, 1) == -1
+        turned = np.ascontiguousarray(np.rot90(pictures[k]))
+        if family.apriltag:
+            assert reads_as(turned, cells[k], family.border_cells, 1) == -1
+
+
+def test_every_id_of_41h12_reads_as_itself_and_one_error_is_counted():
+    family = FAMILIES["tagStandard41h12"]
+    ids = np.arange(0, family.ids, 5)
+    for tag_id, cells in zip(ids.tolist(), printed_cells(family, ids, 1), strict=True):
+        bitmap = tag_bitmap(family, tag_id).copy()
+        assert reads_as(printed(bitmap), cells, 5) == 0
+        bitmap[0, 0] = 255 - bitmap[0, 0]
+        assert reads_as(printed(bitmap), cells, 5, 0) == -1
+        assert reads_as(printed(bitmap), cells, 5, 1) == 1
+
+
+def test_a_print_that_lies_two_pixels_off_is_not_there():
+    family = FAMILIES["tagStandard41h12"]
+    cells = printed_cells(family, np.array([7]), 1)[0]
+    picture = printed(tag_bitmap(family, 7))
+    for shift in ((0, 2), (2, 0), (-2, -2)):
+        moved = np.ascontiguousarray(np.roll(picture, shift, axis=(0, 1)))
+        assert reads_as(moved, cells, 5, 1) == -1
+
+
+BAD = {
+    "no_prior": lambda p: None,
+    "prior_from_the_future": lambda p: replace(p, t_ns=50_000_000),
+    "prior_too_old": lambda p: replace(p, t_ns=-50_000_000),
+    "prior_not_finite": lambda p: replace(p, p_WC=np.array([np.nan, 0.0, 1.0])),
+    "prior_not_a_rotation": lambda p: replace(p, R_WC=2.0 * p.R_WC),
+    "prior_singular": lambda p: replace(p, cov=np.zeros((6, 6))),
+    "prior_too_wide": lambda p: replace(p, cov=100.0 * p.cov + np.eye(6)),
+}
+
+
+@pytest.mark.parametrize("cause", BAD)
+def test_a_bad_prior_is_counted_and_the_image_searched_whole(cause):
+    image, R_WC, p_WC, _ = view(5)
+    prior = BAD[cause](prior_of(R_WC, p_WC))
+    assert prior_fault(prior, 0) == cause
+    trace = TagVO(CAMERA, MAP, TRACK).trace(Frame(0, image), prior)
+    assert trace.counts[f"search_{cause}"] == 1
+    assert "tracked_frames" not in trace.counts
+    assert np.linalg.norm(trace.pose.p_WC - p_WC) < 0.005
+
+
+@pytest.mark.parametrize(
+    "cov", [COV * 1e-12, np.where(np.eye(6) > 0, -COV, 0), np.full((6, 6), np.inf)]
+)
+def test_an_absurd_covariance_never_makes_a_wrong_pose(cov):
+    image, R_WC, p_WC, _ = view(6)
+    prior = replace(prior_of(R_WC, p_WC + np.array([0.03, 0.0, 0.0])), cov=cov)
+    trace = TagVO(CAMERA, MAP, TRACK).trace(Frame(0, image), prior)
+    assert np.linalg.norm(trace.pose.p_WC - p_WC) < 0.005
+
+
+def test_a_wrong_prior_is_searched_whole_in_the_same_frame():
+    image, R_WC, p_WC, _ = view(7)
+    prior = prior_of(R_WC, p_WC + np.array([0.3, 0.2, 0.0]))
+    trace = TagVO(CAMERA, MAP, TRACK).trace(Frame(0, image), prior)
+    assert trace.counts.get("search_too_few", 0) + trace.counts.get("search_too_small_a_share", 0)
+    assert np.linalg.norm(trace.pose.p_WC - p_WC) < 0.005
+
+
+def test_tracked_frames_give_the_pose_that_detected_ones_give():
+    for seed in range(3):
+        image, R_WC, p_WC, rng = view(seed, 1.0)
+        whole = TagVO(CAMERA, MAP).trace(Frame(0, image))
+        prior = prior_of(R_WC, p_WC, rng)
+        vo = TagVO(CAMERA, MAP, TRACK)
+        for picture in (image, np.repeat(image[..., None], 3, axis=2)):  # grey, and BGR
+            trace = vo.trace(Frame(0, picture), prior)
+            assert trace.counts["tracked_frames"] == 1
+            assert np.linalg.norm(trace.pose.p_WC - whole.pose.p_WC) < 0.002
+            assert geo.angle(trace.pose.R_WC.T @ whole.pose.R_WC) < np.radians(0.1)
+
+
+def test_an_image_of_another_size_is_refused():
+    _, R_WC, p_WC, _ = view(8)
+    small = np.zeros((240, 320), dtype=np.uint8)
+    with pytest.raises(TagvoError, match="320x240 pixels; the camera file says 640x480"):
+        TagVO(CAMERA, MAP, TRACK).trace(Frame(0, small), prior_of(R_WC, p_WC))
+
+
+def test_what_a_strip_contradicts_is_dropped_and_the_next_frame_searched():
+    image, R_WC, p_WC, _ = view(9)
+    tracker = Tracker(CAMERA, MAP, TrackConfig(mode="on", strips=1))
+    clean = tracker(image, 0, prior_of(R_WC, p_WC), lambda part: no_detections()).detections
+    victim = clean[:1]
+
+    def search(part):
+        return Detections.of(victim.tag_id, victim.corners_px + 9.0)
+
+    tracker = Tracker(CAMERA, MAP, TrackConfig(mode="on", strips=1))
+    got = tracker(image, 0, prior_of(R_WC, p_WC), search)
+    assert got.counts["strip_contradicts"] == 1
+    at = got.detections.tag_id == victim.tag_id[0]
+    assert np.abs(got.detections.corners_px[at] - victim.corners_px - 9.0).max() < 1e-9
+    after = tracker(image, 1_000_000, prior_of(R_WC, p_WC, t_ns=1_000_000), search)
+    assert after.detections is None
+    assert after.counts == {"search_contradiction": 1}
+
+
+@pytest.mark.parametrize("height", [480, 481, 720, 1232])
+@pytest.mark.parametrize("hz", [10.0, 30.0, 60.0])
+def test_strips_cover_the_image_within_a_sweep(height, hz):
+    config, state, seen = TrackConfig(mode="on"), GateState(), np.zeros(height, dtype=bool)
+    for k in range(round(hz * config.sweep_s)):
+        strip = strip_due(state, config, 10**18 + round(k / hz * 1e9), height, 40)
+        if strip is not None:
+            state = replace(state, strip=strip.index)
+            seen[strip.top : strip.bottom] = True
+    assert seen.all()
+    assert strip_due(state, TrackConfig(sweep_s=0.0), 0, height, 40) is None
+
+
+def test_a_raw_mosaic_is_seen_and_no_grey_image_is_taken_for_one():
+    for seed, height in enumerate((0.5, 0.8, 1.2, 2.0)):
+        image = view(seed, height)[0]
+        raw = image.copy()
+        raw[::2, ::2] = raw[::2, ::2] * 0.7
+        assert not looks_mosaic(image)
+        assert looks_mosaic(raw)
+    stripes = np.tile(np.array([[0, 255]], dtype=np.uint8), (480, 320))
+    assert not looks_mosaic(stripes)
+    assert not looks_mosaic(np.ascontiguousarray(stripes.T))
+
+
+def test_too_little_tracked_is_no_tracking():
+    config = TrackConfig(min_tags=3, min_share=0.5)
+    assert tracking_failed(0, 0, config) == "none_in_view"
+    assert tracking_failed(2, 2, config) == "too_few"
+    assert tracking_failed(4, 9, config) == "too_small_a_share"
+    assert tracking_failed(5, 9, config) is None
+
+
+def test_decimation_follows_the_tags_that_are_needed():
+    sides, size = np.full(20, 18.0), np.full(20, 0.0575)
+    assert decimate_needed(np.zeros(0), np.zeros(0), False) is None
+    assert decimate_needed(sides, size, False) == 1.5
+    assert decimate_needed(2.0 * sides, size, False) == 3.0
+    both = np.r_[sides, 45.0, 90.0], np.r_[size, 0.23, 0.46]
+    assert decimate_needed(*both, False) == 1.5  # eight tags are needed
+    assert decimate_needed(*both, True) == 4.0  # the two largest sizes alone
+
+
+def test_no_false_lock_under_wrong_priors_and_disturbed_floors():
+    """The long run is tools/false_lock.py."""
+    tally = study(images=24, priors=6, seed=77)
+    assert sum(tally.off.values()) == 0, tally
+    assert tally.worst_px < OFF_PX
+    assert sum(tally.tags.values()) > 500
+    assert pinhole().resolution == lens().resolution
