@@ -1,8 +1,8 @@
 """`tagvio simulate` as a user calls it: logs that replay, the same again, and what stops it."""
 
+import contextlib
 import hashlib
 import json
-import os
 import resource
 import signal
 import subprocess
@@ -23,8 +23,10 @@ from vio.sources.log import FlightLog
 
 SHORT = [
     "flight.name=waypoints", "flight.waypoints=[[0,1.5,2.0,0.9,0],[2,1.5,2.6,1.2,20]]",
-    "flight.takeoff=false", "imu.raw_hz=null", "imu.low_pass=null", "stream.rate_hz=10",
+    "flight.takeoff=false", "scene.texture.kind=plain", "imu.raw_hz=null", "imu.low_pass=null",
+    "stream.rate_hz=10",
 ]  # fmt: skip
+PLAIN = ["--set", "scene.texture.kind=plain"]
 MORE = [x for s in SHORT for x in ("--set", s)]
 
 
@@ -167,6 +169,8 @@ def test_ctrl_c_while_images_are_drawn(tmp_path):
     assert process.returncode == 130, err
     log = FlightLog.open(out)
     assert 2 <= log.frame_count < 38
+    assert f"interrupted; {out} holds the first {log.frame_count} of" in err
+    assert (log.truth.t_ns[-1] - log.truth.t_ns[0]) * 1e-9 < 3.9
     assert sum(1 for e in log.events() if hasattr(e, "image")) == log.frame_count
     assert not list(out.rglob("*.tmp"))
 
@@ -199,19 +203,24 @@ def test_bad_calls_end_in_one_clear_line(words, code, says, tmp_path, monkeypatc
     assert not list(tmp_path.rglob("*.csv"))
 
 
-def start(out, *words, limit_bytes=None):
-    """The command in a process of its own, which may not write a file beyond a size."""
+def start(out, *words):
+    """The command in a process of its own, to be interrupted."""
     code = f"import sys; sys.argv = {['tagvio', 'simulate', 't1_qr', '--out', str(out), *words]!r}"
     code += "\nfrom vio.cli import main; main()"
-
-    def limited():
-        if limit_bytes is not None:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, limit_bytes))
-
     return subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        preexec_fn=limited,
-    )  # fmt: skip
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+@contextlib.contextmanager
+def room_for(size):
+    """Within it no file may grow beyond a size: what would is refused, as on a full disk."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 def wait_for(path, size):
@@ -222,14 +231,12 @@ def wait_for(path, size):
 
 
 def test_a_disk_that_fills_leaves_a_log_that_can_be_read(tmp_path):
-    """No file may exceed 300 kB: the write that would is refused, as on a full disk."""
     out = tmp_path / "log"
-    with start(out, "--detections", limit_bytes=300_000) as process:
-        _, err = process.communicate(timeout=60)
-    assert process.returncode == 1
-    assert "Traceback" not in err
-    assert "the disk is full" in err
-    assert "frames before that are a log that can be read" in err
+    with room_for(300_000):
+        done = tagvio("simulate", "t1_qr", "--out", out, "--detections", *PLAIN)
+    assert done.code == 1
+    assert "the disk is full" in done.err
+    assert "frames before that are a log that can be read" in done.err
     log = FlightLog.open(out)
     frames = list(log.events())
     assert [w for w in log.warnings if "imu_gap" not in w and "before_imu" not in w] == []
@@ -245,34 +252,15 @@ def test_a_disk_that_fills_leaves_a_log_that_can_be_read(tmp_path):
 def test_a_disk_that_fills_while_images_are_drawn(tmp_path):
     """The one that does not fit leaves nothing behind, and the drawing of others ends in order."""
     out = tmp_path / "log"
-    # an image takes some 200 kB
-    with start(out, *MORE, "--set", "stream.start_s=0", limit_bytes=50_000) as process:
-        _, err = process.communicate(timeout=120)
-    assert process.returncode == 1, err
-    assert "the disk is full" in err
-    assert "Warning" not in err
+    with room_for(50_000):  # an image takes some 200 kB
+        done = simulate(out, *PLAIN)
+    assert (done.code, "the disk is full" in done.err) == (1, True)
+    assert "no frame was written" in done.err
     assert not list(out.rglob("*.tmp"))
+    assert not list(out.rglob("*.png"))
 
 
 def test_no_room_for_anything(tmp_path):
-    with start(tmp_path / "log", "--detections", limit_bytes=1000) as process:
-        _, err = process.communicate(timeout=60)
-    assert (process.returncode, "Traceback" in err) == (1, False)
-    assert "the disk is full" in err
-    assert "no frame was written" in err
-
-
-def test_ctrl_c_leaves_the_flight_so_far(tmp_path):
-    out = tmp_path / "log"
-    rows = out / "mav0/cam0/data.csv"
-    with start(out, "--detections", *MORE, "--set", "stream.rate_hz=3000") as process:
-        wait_for(rows, 2000)
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
-    assert process.returncode == 130, err
-    assert "interrupted" in err
-    log = FlightLog.open(out)
-    assert 20 < log.frame_count < 11_000
-    assert f"the first {log.frame_count} of" in err
-    assert (log.truth.t_ns[-1] - log.truth.t_ns[0]) * 1e-9 < 3.9
-    assert os.listdir(out / "mav0/cam0")
+    with room_for(1000):
+        done = simulate(tmp_path / "log", "--detections")
+    assert (done.code, "the disk is full" in done.err) == (1, True)

@@ -30,7 +30,13 @@ from vio.sources.companion import same_clock
 from vio.sources.log import FlightLog
 
 SHORT = ["flight.takeoff=false", "imu.raw_hz=null", "imu.low_pass=null", "lens.readout_s=0"]
-EXACT = [*SHORT, "corners.sigma_px=0", "scene.laying_scale=0", "stream.drop_share=0"]
+EXACT = [
+    *SHORT,
+    "corners.sigma_px=0",
+    "scene.laying_scale=0",
+    "stream.drop_share=0",
+    "scene.texture.kind=plain",
+]
 DATA = pytest.mark.skipif("TAGVIO_DATA" not in os.environ, reason="TAGVIO_DATA is not set")
 
 
