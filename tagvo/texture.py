@@ -148,7 +148,8 @@ def floor_factor(rays: Array32, bare: Array32, poses: Array32, levels: Codes, ou
                     total += 128.0
                     continue
                 depth = -P[11] / down
+                aslant = np.sqrt(a * a + b * b + 1.0) / abs(down)  # the pixel's length over width
                 x_m = P[9] + depth * (P[0] * a + P[1] * b + P[2])
                 y_m = P[10] + depth * (P[3] * a + P[4] * b + P[5])
-                total += _value(levels, x_m, y_m, depth * wide)
+                total += _value(levels, x_m, y_m, depth * wide * aslant)
             out[y, x] = total / (128.0 * poses.shape[1])

@@ -190,6 +190,15 @@ def test_a_texture_stands_still_while_the_camera_moves():
     assert blurred.std() < picture(scene, camera, still(DOWN, ABOVE)).std()
 
 
+def test_a_floor_seen_along_itself_fades_and_does_not_shimmer():
+    scene = scene_of(floor_of(1), hidden_share=1.0, texture={"kind": "wood"})
+    R = DOWN @ geo.exp(np.array([np.radians(80.0), 0.0, 0.0]))
+    image = picture(scene, camera_of("none"), still(R, np.array([0.0, 0.0, 0.5])), FAST)
+    horizon = int(120 - 265 * np.tan(np.radians(10.0)))
+    steps = np.abs(np.diff(image, axis=1)).mean(axis=1)
+    assert steps[horizon + 2 : horizon + 12].max() < 0.5 < steps[-20:].mean()
+
+
 def test_a_tag_map_may_be_displaced_by_other_sigmas():
     tag_map = floor_of(20)
     sigma = (0.01, 0.0, 0.0, 0.0)
