@@ -17,7 +17,7 @@ from tagvo.geometry import Array
 from vio import layout as at
 
 _FORGET = 1.0 - 1.0 / 300.0  # per measurement
-_PRIOR_WEIGHT = 6.0 * 100.0  # as much as 100 measurements know
+_PRIOR_WEIGHT = 6.0 * 50.0  # as much as 50 measurements know
 _PRIOR = (0.5, 0.37, 0.27, 0.2, 0.16)  # by lag: cautious until the innovations tell
 _LOW, _HIGH = 0.05, 0.2  # autocorrelation where inflation begins, and where it is at its limit
 _SEEN, _UNSEEN = (

@@ -121,7 +121,7 @@ class Live:
         self.ends.close()
 
 
-def until(true, timeout_s=5.0, what="it"):
+def until(true, timeout_s=30.0, what="it"):
     """Wait for something to come true, without hurry."""
     end = time.monotonic() + timeout_s
     while not true():

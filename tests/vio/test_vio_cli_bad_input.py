@@ -253,16 +253,16 @@ def flying(tmp_path_factory):
 
 
 def edited_imu(flying, root, change):
-    """A copy of the log, each IMU row (9 numbers: stamp, gyro, accel, arrival) through `change`."""
+    """A copy of the log, each IMU row (stamp, gyro, accel, arrival, mean) through `change`."""
     log = root / "edited"
     shutil.copytree(flying, log)
     head, *rows = (log / IMU).read_text().splitlines()
     changed = []
     for i, row in enumerate(rows):
-        t_ns, *values, arrival = row.split(",")
+        t_ns, *values, arrival, mean = row.split(",")
         new = change(i, int(t_ns), np.array([float(v) for v in values]), int(arrival))
         stamp, numbers, known = new
-        changed.append(",".join([str(stamp), *(f"{v:.9f}" for v in numbers), str(known)]))
+        changed.append(",".join([str(stamp), *(f"{v:.9f}" for v in numbers), str(known), mean]))
     (log / IMU).write_text("\n".join([head, *changed]) + "\n")
     return log
 
@@ -300,7 +300,11 @@ def test_an_imu_in_other_units_or_clocks_is_refused_in_one_line(flying, tmp_path
 
 def test_an_imu_that_the_poses_contradict_is_a_warning(flying, tmp_path):
     """A calm flight in deg/s looks like a fast one in rad/s; but the filter rejects the poses."""
-    done = tagvio("run", edited_imu(flying, tmp_path, in_degrees), "--out", tmp_path / "out")
+
+    def calm(i, t_ns, values, arrival):
+        return in_degrees(i, t_ns, values * np.repeat([0.5, 1.0], 3), arrival)
+
+    done = tagvio("run", edited_imu(flying, tmp_path, calm), "--out", tmp_path / "out")
     assert done.code == 0
     assert "vio is not to be trusted" in done.err
     assert "units" in done.err

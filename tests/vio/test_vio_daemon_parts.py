@@ -247,10 +247,10 @@ def test_a_vehicle_stands_where_it_is_disarmed_and_still_and_no_sooner():
 
 
 def test_a_vehicle_that_is_carried_does_not_stand():
-    """T3 rests for 2 s, then moves off gently, as in a careful hand."""
+    """T3 rests for 2 s but for the rounding of its first corner, then moves off."""
     words = judged(fly("T3", seconds=12.0).imu)
     assert [w for _, w in words] == [False, True, False]
-    assert words[-1][0] == pytest.approx(2.1, abs=0.2), "at 5 cm/s it is known to move"
+    assert words[-1][0] == pytest.approx(1.7, abs=0.3), "as it moves off it is known to"
 
 
 @pytest.mark.parametrize("speed", [1.0, 2.0, 0.5])

@@ -43,9 +43,8 @@ def command(
     that is elsewhere, or moves otherwise, will not believe it. At another speed than 1 velocities
     are scaled alike.
 
-    With --sitl ardupilot|px4 the log's IMU is played into the autopilot as its simulator would,
-    so that its filter flies the log on our poses; DIR/fc.tum is what it estimates, judged beside
-    ours where the log has truth.
+    With --sitl its filter flies the log's IMU on our poses; DIR/fc.tum is what it estimates, judged
+    beside ours where the log has truth.
     """
     if sitl is not None:
         _into_sitl(log, out, config, assignments, imu, detections, connect, sitl, sitl_port)
@@ -61,7 +60,7 @@ def command(
 
     start_log()
     opened = FlightLog.open(log, imu=imu, use_detections=detections)
-    assigned = [*(assignments or ()), f"mavlink.url={connect}"]
+    assigned = (*(assignments or ()), f"mavlink.url={connect}")
     loaded = load_config(config or opened.config_path, assigned)
     with progress(opened.frame_count, "frames") as step, gently() as stop:
         done = fly.replay(opened, loaded, speed, stop, step)
