@@ -32,6 +32,7 @@ _HEADERS = {
     "truth_biases": "#timestamp [ns],p_x,p_y,p_z [m],q_w,q_x,q_y,q_z,v_x,v_y,v_z [m/s],"
     "bg_x,bg_y,bg_z [rad/s],ba_x,ba_y,ba_z [m/s^2]",
 }
+_TAIL_BYTES = 1 << 20  # longer than any row
 _NOTES = ("scenario.yaml", "truth_rig.yaml")  # of a simulated log; nothing reads them in a run
 _LAYOUT = (  # all that a log may hold: what `replace` removes
     "tagmap.yaml", "camchain-imucam.yaml", "imu.yaml", "config.yaml", "phases.csv", *_NOTES,
@@ -196,14 +197,21 @@ class LogWriter:
 
 
 def _cut(path: Path) -> None:
-    """Take away what stands after the last end of a line; a file without a row is none."""
+    """Take away what stands after the last end of a line; a file without a row is none.
+
+    Only of a regular file, and read from its end: a recording may be as large as the disk.
+    """
+    if not path.is_file():
+        return
     with suppress(OSError):
-        data = path.read_bytes()
-        end = data.rfind(b"\n") + 1
-        if data.count(b"\n") < 2:
+        with path.open("rb") as file:
+            start = max(0, path.stat().st_size - _TAIL_BYTES)
+            file.seek(start)
+            tail = file.read(_TAIL_BYTES)
+        if start == 0 and tail.count(b"\n") < 2:
             path.unlink()
-        elif end < len(data):
-            os.truncate(path, end)
+        elif b"\n" in tail:
+            os.truncate(path, start + tail.rfind(b"\n") + 1)
 
 
 def _numbers(values: "Array | list[float]", digits: int) -> str:
