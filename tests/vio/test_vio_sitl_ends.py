@@ -229,7 +229,7 @@ def test_a_logged_flight_ends_as_the_autopilots_own_estimate_in_the_map(log, kin
     assert len(played.fc) > 200
     assert played.fc.name == "fc"
     stats = judged(played, log)
-    assert stats["position_rmse_m"] < 0.06  # its gains are fixed and it knows no biases
+    assert stats["position_rmse_m"] < 0.08  # its gains are fixed and it knows no biases
     assert stats["rotation_rmse_deg"] < 2.0
     assert stats["n"] > 100
     assert abs(np.median(np.diff(played.fc.t_ns)) - 20 * MS) <= 5 * MS
