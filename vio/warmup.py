@@ -12,8 +12,12 @@ from tagvo.config import TagvoConfig
 from tagvo.detect.filters import FilterConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.families import FAMILIES
+from tagvo.geometry import Array
+from tagvo.imaging import render_frame
 from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Detections, Frame, PoseMeasurement, PosePrior
+from tagvo.scene import make_scene
+from tagvo.sceneconfig import LensConfig, OccluderConfig, SceneConfig, TextureConfig
 from tagvo.tagmap import TagMap, map_from_dict
 from tagvo.track import TrackConfig, Tracker
 from vio.estimator import USUAL_NOISE, Estimator
@@ -62,6 +66,22 @@ def warm_tracker(tag_map: TagMap, camera: Camera, config: TrackConfig | None = N
     tracker = Tracker(camera, tag_map, config or TrackConfig(mode="on"))
     tracker(image, 0, prior, lambda part: no_detections())
     tracker.decimate(prior, 0, False)
+
+
+def warm_renderer(tag_map: TagMap, camera: Camera) -> None:
+    """Draw a picture with a floor of wood, torn tags, objects and motion: `simulate`'s code."""
+    objects = OccluderConfig(count=3, size_m=0.2)
+    config = SceneConfig(texture=TextureConfig(kind="wood"), torn_share=0.5, occluders=objects)
+    above = tag_map.p_WT.mean(axis=0) + np.array([0.0, 0.0, 1.0])
+
+    def pose_at(t_s: Array) -> tuple[Array, Array]:
+        R_WC = np.tile(np.diag([1.0, -1.0, -1.0]), (len(t_s), 1, 1))
+        return R_WC, above + t_s[:, None] * np.array([0.5, 0.0, 0.0])
+
+    rng = np.random.default_rng(0)
+    scene = make_scene(tag_map, config, rng)
+    for lens in (LensConfig(), LensConfig(exposure_s=0.006, readout_s=0.02)):
+        render_frame(scene, camera, pose_at, 0.0, lens, rng)
 
 
 def _warm_filter(

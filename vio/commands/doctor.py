@@ -1,5 +1,7 @@
 """`tagvio doctor`: what is wrong with a flight controller's set-up, and what to set."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -54,18 +56,16 @@ def command(
     through a router that hands its messages to this URL, too. Exit code 1 where a finding is an
     error.
     """  # fmt: skip
-    import logging
-
     from vio.config import load_config
     from vio.doctor.check import failed
     from vio.doctor.line import Line
 
-    logging.getLogger("vio").setLevel(logging.ERROR)  # the findings say it better
     words = [*(assignments or ()), f"mavlink.url={url}"]
     settings: MavlinkConfig = load_config(config, words).mavlink
     line = Line(settings)
     try:
-        findings, content = _examine(line, url, seconds, fix, yes, wiggle)
+        with _errors_alone():
+            findings, content = _examine(line, url, seconds, fix, yes, wiggle)
     finally:
         line.close()
     if json_file is not None:
@@ -77,6 +77,20 @@ def command(
         typer.echo(str(json_file))
     if failed(findings):
         raise typer.Exit(1)
+
+
+@contextmanager
+def _errors_alone() -> Iterator[None]:
+    """Log errors only while the doctor is at work: its findings say the rest better."""
+    import logging
+
+    logger = logging.getLogger("vio")
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def _examine(

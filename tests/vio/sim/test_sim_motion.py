@@ -75,7 +75,7 @@ def test_the_imu_is_that_of_positions_and_attitudes(seed):
         course, down_W=down_W, drag_per_s=rng.uniform(0.0, 0.5),
         sway=sines(rng, channels=3, size=0.02), window=window,
     )  # fmt: skip
-    t, h = rng.uniform(0.0, 33.0, 40), 1e-3
+    t, h = rng.uniform(0.0, 33.0, 40), 1e-4
     gyro, accel = inertial(flight(t), down_W)
     before, now, after = flight(t - h), flight(t), flight(t + h)
     turned = np.swapaxes(before.R_WI, -1, -2) @ after.R_WI
