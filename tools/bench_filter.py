@@ -18,7 +18,7 @@ import numpy as np
 WORK = "import tools.bench_filter as b; b.filled_window(27).insert(*b.late_pose(0))"
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 PAR = np.array([4.0, 1.0, 1.0, -1.0])
-TRUST = (4.0, 0.3)  # inflation, share of the pose bias
+TRUST = (4.0, 0.3, 0.15)  # inflation, shares of the pose bias: of position, of rotation
 
 
 def median_us(work, repeat):
@@ -81,7 +81,7 @@ def ours(n, repeat):
     propagate(x, P, rates, 0.005, q)
     predict = median_us(lambda: propagate(x, P, rates, 0.005, q), repeat)
     P0 = 1e-4 * np.eye(n)
-    trust = TRUST if n >= at.WITH_BIAS else (TRUST[0], 0.0)
+    trust = TRUST if n >= at.WITH_BIAS else (TRUST[0], 0.0, 0.0)
     correct_pose(x, P, w, z, trust, 1.0, y)
 
     def fresh(i):

@@ -224,17 +224,18 @@ def correct_corners(
     P: Array,
     w: Array,
     tags: Array,
-    trust: tuple[float, float],
+    trust: tuple[float, float, float],
     gate: float,
     y_white: Array,
 ) -> tuple[int, float]:
     """Correct by the corners of tags (k, TAG_NUMBERS); what became of it, and a NIS as of 6 dof.
 
-    w (3,) gyro then; trust: what multiplies the noise, and the share of it that is the pose bias's;
-    gate scales the 99.9 % limits; y_white (6,) receives what the accepted tags say of xi, bias and
-    all, whitened by their own noise.
+    w (3,) gyro then; trust: what multiplies the noise, and the shares of it that are the pose
+    bias's (that of positions serves for all: corners do not tell them apart); gate scales the
+    99.9 % limits; y_white (6,) receives what the accepted tags say of xi, bias and all, whitened
+    by their own noise.
     """
-    n, (inflation, share) = P.shape[0], trust
+    n, inflation, share = P.shape[0], trust[0], trust[1]
     H, M, P_xi = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6))
     A, b, X = np.empty((6, 6)), np.empty(6), np.empty((6, 3))
     camera_jacobian(x, w, H)
@@ -258,7 +259,7 @@ def correct_corners(
             for j in range(n):
                 U[i, j] += c * H[k, j]
     if share > 0.0:
-        see_bias(x, np.eye(6), np.sqrt(share / inflation), U, r)
+        see_bias(x, np.eye(6), np.full(6, np.sqrt(share / inflation)), U, r)
     times_p(U, P, M)
     times_ht(M, U, S)
     for i in range(6):

@@ -181,12 +181,12 @@ def distance(S: Array, r: Array, first: int, m: int) -> float:
 
 
 @njit
-def see_bias(x: Array, L: Array, scale: float, H: Array, r: Array) -> None:
-    """Let the pose bias into H (6, n) and r (6,): it errs by scale L (6, 6, lower) times it."""
+def see_bias(x: Array, L: Array, scale: Array, H: Array, r: Array) -> None:
+    """Let the pose bias into H (6, n) and r (6,): diag(scale (6,)) L (6, 6, lower) times it."""
     for i in range(6):
         for j in range(i + 1):
-            H[i, at.BIAS + j] = scale * L[i, j]
-            r[i] -= scale * L[i, j] * x[at.X_BIAS + j]
+            H[i, at.BIAS + j] = scale[i] * L[i, j]
+            r[i] -= scale[i] * L[i, j] * x[at.X_BIAS + j]
 
 
 @njit
@@ -195,17 +195,18 @@ def correct_pose(
     P: Array,
     w: Array,
     z: Array,
-    trust: tuple[float, float],
+    trust: tuple[float, float, float],
     gate: float,
     y_white: Array,
 ) -> tuple[int, float]:
     """Correct by a camera pose z (46,) of `vio.pivot`; what became of it, and its NIS.
 
-    w (3,) gyro then; trust: what multiplies cov, and the share of it that is the pose bias's; gate
-    scales the 99.9 % limits (inf: no gate); y_white (6,) receives the innovation, bias and all,
-    whitened by cov.
+    w (3,) gyro then; trust: what multiplies cov, and the shares of it that are the pose bias's, of
+    position and of rotation; gate scales the 99.9 % limits (inf: no gate); y_white (6,) receives
+    the innovation, bias and all, whitened by cov.
     """
-    n, (inflation, share) = P.shape[0], trust
+    n, inflation, slow = P.shape[0], trust[0], np.empty(6)
+    slow[:3], slow[3:] = trust[1], trust[2]
     H, M, S, r = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6)), np.empty(6)
     y, R_WC = np.empty(3), np.empty((3, 3))
     pose_residual(x, z, r, y, R_WC)
@@ -220,13 +221,14 @@ def correct_pose(
         return at.SINGULAR, np.inf
     solve_lower(L, 6, white)
     y_white[:] = white[:, 0]
-    if share > 0.0:
-        see_bias(x, L, math.sqrt(share), H, r)
+    if trust[1] > 0.0:
+        see_bias(x, L, np.sqrt(slow), H, r)
     times_p(H, P, M)
     times_ht(M, H, S)
     for i in range(6):
         for j in range(6):
-            S[i, j] += inflation * (1.0 - share) * z[7 + 6 * i + j]
+            white_share = math.sqrt((1.0 - slow[i]) * (1.0 - slow[j]))
+            S[i, j] += inflation * white_share * z[7 + 6 * i + j]
     nis = distance(S, r, 0, 6)
     if nis == np.inf or nis != nis:
         return at.SINGULAR, nis

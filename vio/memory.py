@@ -25,6 +25,7 @@ _SEEN, _UNSEEN = (
     0.05,
 )  # slow share per autocorrelation seen: the filter has followed a part of the error
 _MOST = 0.9  # slow share
+_TURNS = 0.5  # slow share of rotations over that of positions: what lasts there, gravity settles
 _CLIP = 4.7  # no innovation counts for more than the gate's limit
 _GAP_S = 0.5
 
@@ -56,16 +57,19 @@ def _fast(x: Array, n: int) -> float:
 
 
 @njit
-def slow_share(x: Array, par: Array, n: int) -> float:
-    """Which share of a pose's variance varies slowly; par as for `inflation`, par[3] >= 0 fixes it.
+def slow_share(x: Array, par: Array, n: int) -> tuple[float, float]:
+    """Which share of a pose's variance varies slowly, of its position and of its rotation.
 
-    n: active error dimension; without the pose bias there is no such share.
+    par as for `inflation`, par[3] >= 0 fixes both. n: active error dimension; without the pose bias
+    there is no such share.
     """
     if n < at.WITH_BIAS:
-        return 0.0
+        return 0.0, 0.0
     if par[3] >= 0.0 or par[2] == 0.0:
-        return min(max(float(par[3]), 0.0), _MOST)
-    return min(max(_SEEN * (_slow(x) - _LOW), 0.0), _MOST)
+        fixed = min(max(float(par[3]), 0.0), _MOST)
+        return fixed, fixed
+    learnt = min(max(_SEEN * (_slow(x) - _LOW), 0.0), _MOST)
+    return learnt, _TURNS * learnt
 
 
 @njit

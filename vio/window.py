@@ -36,7 +36,7 @@ def _apply(x: Array, P: Array, w: Array, z: Array, par: Array, t_ns: int) -> tup
             P[i, i] += z[2]
         return at.ACCEPTED, 0.0
     n, y = P.shape[0], np.zeros(6)
-    trust = inflation(x, par, n), slow_share(x, par, n)
+    trust = inflation(x, par, n), *slow_share(x, par, n)
     if kind == at.M_POSE:
         verdict, nis = correct_pose(x, P, w, z[2:], trust, par[1], y)
     else:

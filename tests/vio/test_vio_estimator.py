@@ -157,11 +157,13 @@ def test_the_slow_share_is_learnt():
     par = np.array([4.0, 1.0, 1.0, -1.0])
     white = replay(fly("T3", 8, PoseNoise(slow=(0.0, 0.0), outliers=0.0, dropouts=0)))
     slow = replay(fly("T3", 8, PoseNoise(slow=(0.025, 1.0), outliers=0.0, dropouts=0)))  # half
-    assert slow_share(white.estimator.state(), par, at.WITH_BIAS) < 0.1
-    assert 0.2 < slow_share(slow.estimator.state(), par, at.WITH_BIAS) < 0.8
-    assert slow_share(slow.estimator.state(), par, at.BASE) == 0.0
+    assert slow_share(white.estimator.state(), par, at.WITH_BIAS)[0] < 0.1
+    of_positions, of_rotations = slow_share(slow.estimator.state(), par, at.WITH_BIAS)
+    assert 0.2 < of_positions < 0.8
+    assert 0.0 < of_rotations < of_positions
+    assert slow_share(slow.estimator.state(), par, at.BASE) == (0.0, 0.0)
     par[3] = 0.4
-    assert slow_share(white.estimator.state(), par, at.WITH_BIAS) == 0.4
+    assert slow_share(white.estimator.state(), par, at.WITH_BIAS) == (0.4, 0.4)
 
 
 def test_prior_is_where_the_camera_will_be():
