@@ -4,7 +4,9 @@
     python tools/peers.py mavsdk            MAVSDK (C++), of the extra `test`, as the receiver
     python tools/peers.py mavproxy          MAVProxy in between, in an environment made for it
         [--env DIR]                         and kept there (default: ~/.cache/tagvio/mavproxy)
+    python tools/peers.py autopilot         nobody in between: the in-test autopilot itself
         [--seconds 10]                      of flight
+        [--log LOG]                         a flight log of one's own in place of that flight
 
 MAVProxy brings another OpenCV, so it never enters our own environment.
 """
@@ -34,14 +36,17 @@ VISION = "VISION_POSITION_ESTIMATE"
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("peer", choices=("mavsdk", "mavproxy"))
+    parser.add_argument("peer", choices=("mavsdk", "mavproxy", "autopilot"))
     parser.add_argument("--env", type=Path, default=Path("~/.cache/tagvio/mavproxy"))
     parser.add_argument("--seconds", type=float, default=10.0)
+    parser.add_argument("--log", type=Path)
     chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        log = write_flying_log(Path(folder), chosen.seconds)
+        log = chosen.log or write_flying_log(Path(folder), chosen.seconds)
         if chosen.peer == "mavsdk":
             through_mavsdk(log, Path(folder))
+        elif chosen.peer == "autopilot":
+            to_the_autopilot(log, Path(folder))
         else:
             through_mavproxy(log, Path(folder), chosen.env.expanduser())
 
@@ -123,6 +128,21 @@ def teed(ours: int, theirs: int) -> object:
     return ends
 
 
+def to_the_autopilot(log: Path, folder: Path) -> None:
+    """The in-test autopilot at the other end of the line."""
+    port = free_port()
+    with Live(udp_to(port)) as live:
+        sent = replay(log, folder, f"udpin:127.0.0.1:{port}")
+        time.sleep(0.5)
+        got = heard(live)
+    report(sent, got)
+
+
+def heard(live: Live) -> list[tuple[float, int]]:
+    """The poses that the in-test autopilot got: arrival [s, monotonic], stamp [us]."""
+    return [((live.start_ns + t) * 1e-9, m.usec) for t, m in live.fc.heard.get(VISION, [])]
+
+
 def through_mavproxy(log: Path, folder: Path, env: Path) -> None:
     """autopilot <-> MAVProxy <-> tagvio."""
     program = env / "bin" / "mavproxy.py"
@@ -134,8 +154,7 @@ def through_mavproxy(log: Path, folder: Path, env: Path) -> None:
     with proxied(env, master, out, folder), Live(udp_to(master)) as live:
         sent = replay(log, folder, f"udpin:127.0.0.1:{out}")
         time.sleep(0.5)
-        poses = live.fc.heard.get(VISION, [])
-        got = [((live.start_ns + t) * 1e-9, m.usec) for t, m in poses]
+        got = heard(live)
     report(sent, got)
 
 
