@@ -58,7 +58,7 @@ VIO = (
     {"sources", "sinks", "mavlink", "sim", "evaluate"},
     {"run", "doctor", "sitl"},
     {"config"},
-    {"daemon"},
+    {"daemon", "reproduce"},
     {"commands"},
     {"cli"},
 )

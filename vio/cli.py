@@ -12,6 +12,7 @@ from vio.commands import (
     demo,
     doctor,
     replay,
+    reproduce,
     run,
     simulate,
     warmup,
@@ -34,6 +35,7 @@ app.command("demo")(demo.command)
 app.command("daemon")(daemon.command)
 app.command("replay")(replay.command)
 app.command("simulate")(simulate.command)
+app.command("reproduce")(reproduce.command)
 app.command("bench")(bench.command)
 app.command("warmup")(warmup.command)
 app.command("doctor")(doctor.command)

@@ -10,6 +10,7 @@ from math import comb
 from typing import TypeAlias
 
 import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval
 
 from tagvo.geometry import Array
 from vio.sim.trajectory import Command, smoothed
@@ -17,7 +18,8 @@ from vio.sim.trajectory import Command, smoothed
 ORDERS = 4
 Course: TypeAlias = Callable[[Array], Array]
 Window: TypeAlias = Callable[[Array], Array]  # times (n,) -> (4, n): a weight and its derivatives
-_SMOOTH_STEP = np.polynomial.Polynomial([0, 0, 0, 0, 35, -84, 70, -20])  # at rest to third order
+_SMOOTH_STEP = np.array([0.0, 0, 0, 0, 35, -84, 70, -20])  # at rest to third order
+_STEP_ORDERS = np.stack([np.pad(polyder(_SMOOTH_STEP, i), (0, i)) for i in range(ORDERS)], axis=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +61,7 @@ def step(t_s: Array, start_s: float, end_s: float) -> Array:
     """A smooth step from 0 to 1 and its derivatives, at rest to third order; (n,) -> (4, n)."""
     length = end_s - start_s
     u = np.clip((t_s - start_s) / length, 0.0, 1.0)
-    return np.stack([_SMOOTH_STEP.deriv(i)(u) / length**i for i in range(ORDERS)])
+    return np.asarray(polyval(u, _STEP_ORDERS) / length ** np.arange(ORDERS)[:, None])
 
 
 def weighed(window: Array, values: Array) -> Array:

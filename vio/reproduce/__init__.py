@@ -1,0 +1,1 @@
+"""The paper's tables, simulated: what is flown, what came of it, and which orderings hold."""
