@@ -105,7 +105,7 @@ def _on_cluster(address: str, todo: Sequence[tuple[Task, Path]]) -> Iterator[lis
     from joblib import Parallel, delayed, parallel_config
 
     try:
-        client: Any = Client(address, timeout=_CLUSTER_S)  # type: ignore[no-untyped-call]
+        client: Any = Client(address, timeout=_CLUSTER_S)
     except (OSError, ValueError, TimeoutError) as err:
         raise VioError(f"--cluster {address}: no scheduler answers ({err or 'timeout'})") from None
     with client, parallel_config(backend="dask", wait_for_workers_timeout=30):
