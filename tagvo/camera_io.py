@@ -36,7 +36,12 @@ def load_camera(path: Path, name: str = "cam0") -> Camera:
     the name above, a EuRoC sensor.yaml and a ROS CameraInfo. Without a pose R_CI, p_CI are
     the identity; without a time shift it is 0.
     """
-    block, where = _camera_block(read_yaml(path, CameraError), name, path)
+    return camera_of(read_yaml(path, CameraError), path, name)
+
+
+def camera_of(data: dict[str, Any], path: Path, name: str = "cam0") -> Camera:
+    """The same from what a file (or a message) said, as a mapping; path: how errors call it."""
+    block, where = _camera_block(data, name, path)
     kind = block.get("camera_model", "pinhole")
     if kind != "pinhole":
         raise CameraError(f"{where} camera_model: unknown {kind!r}; supported: {_SUPPORTED}")

@@ -8,6 +8,7 @@ from tagvo.errors import TagvoError
 from vio.commands import (
     bench,
     compare,
+    convert,
     daemon,
     demo,
     doctor,
@@ -36,6 +37,7 @@ app.command("daemon")(daemon.command)
 app.command("replay")(replay.command)
 app.command("simulate")(simulate.command)
 app.command("reproduce")(reproduce.command)
+app.command("convert")(convert.command)
 app.command("bench")(bench.command)
 app.command("warmup")(warmup.command)
 app.command("doctor")(doctor.command)

@@ -174,3 +174,20 @@ def heading_of_map(yaw_rad: float, levelling: Levelling, R_WI: Array, R_BI: Arra
     R_NF = (ned_from_level(0.0) @ levelling.R_LW @ R_WI @ R_BI.T) * FLIP
     turn = yaw_rad - euler_321(R_NF)[2]
     return float(np.pi - (np.pi - turn) % (2.0 * np.pi))
+
+
+_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # from north, east, down
+
+
+def enu_of_ned(x_N: Array) -> Array:
+    """Vectors from north, east, down to east, north, up; (..., 3) -> (..., 3)."""
+    return np.asarray(x_N @ _ENU.T)
+
+
+def flu_in_enu(q_NF: Array) -> Array:
+    """Attitudes of the body FLU in ENU from those of FRD in NED; (..., 4) wxyz -> (..., 4)."""
+    half = np.sqrt(0.5)
+    turn = np.array([0.0, half, half, 0.0])  # ENU from NED: half a turn about x + y
+    flip = np.array([0.0, 1.0, 0.0, 0.0])  # FRD from FLU: half a turn about x
+    return geo.multiply_quat(geo.multiply_quat(np.broadcast_to(turn, q_NF.shape), q_NF),
+                             np.broadcast_to(flip, q_NF.shape))  # fmt: skip

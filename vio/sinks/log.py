@@ -27,6 +27,7 @@ _HEADERS = {
     "frames": "#timestamp [ns],filename,arrival_ns,received_ns",
     "detections": f"#timestamp [ns],tag_id,{_CORNERS},hamming,decision_margin,{_SIGMAS}",
     "imu": "#timestamp [ns],w_x,w_y,w_z [rad/s],a_x,a_y,a_z [m/s^2],arrival_ns,mean",
+    "imu_noted": "#timestamp [ns],w_x,w_y,w_z [rad/s],a_x,a_y,a_z [m/s^2],arrival [ns],mean",
     "ground": "#timestamp [ns],on_ground",
     "truth": "#timestamp [ns],p_x,p_y,p_z [m],q_w,q_x,q_y,q_z,v_x,v_y,v_z [m/s]",
     "truth_biases": "#timestamp [ns],p_x,p_y,p_z [m],q_w,q_x,q_y,q_z,v_x,v_y,v_z [m/s],"
@@ -76,14 +77,19 @@ class LogWriter:
 
     def setup(
         self,
-        tag_map: TagMap,
-        camera: Camera,
+        tag_map: TagMap | None,
+        camera: Camera | None,
         noise: ImuNoise | None = None,
         config_text: str | None = None,
     ) -> None:
-        """Write what holds for the whole log: map, calibration, IMU noise, configuration."""
-        save_map(tag_map, self.path / "tagmap.yaml")
-        save_camera(camera, self.path / "camchain-imucam.yaml")
+        """Write what holds for the whole log: map, calibration, IMU noise, configuration.
+
+        A run needs map and calibration; a log without them waits for its owner to add them.
+        """
+        if tag_map is not None:
+            save_map(tag_map, self.path / "tagmap.yaml")
+        if camera is not None:
+            save_camera(camera, self.path / "camchain-imucam.yaml")
         if noise is not None:
             write_atomic(self.path / "imu.yaml", _noise_yaml(noise))
         if config_text is not None:
@@ -100,11 +106,13 @@ class LogWriter:
         received = arrival if frame.received_ns is None else frame.received_ns
         self._row(_CAM / "data.csv", "frames", f"{frame.t_ns},{name},{arrival},{received}")
 
-    def imu(self, sample: ImuSample, name: str = "imu0") -> None:
-        """A row for an IMU sample in mav0/NAME."""
+    def imu(self, sample: ImuSample, name: str = "imu0", noted_ns: int | None = None) -> None:
+        """A row for an IMU sample in mav0/NAME; noted_ns: its arrival in another clock, if so."""
         values = _exact([*sample.gyro_I, *sample.accel_I])
-        row = f"{sample.t_ns},{values},{sample.arrival_ns},{int(sample.mean)}"
-        self._row(Path("mav0") / name / "data.csv", "imu", row)
+        known_ns = sample.arrival_ns if noted_ns is None else noted_ns
+        row = f"{sample.t_ns},{values},{known_ns},{int(sample.mean)}"
+        kind = "imu" if noted_ns is None else "imu_noted"
+        self._row(Path("mav0") / name / "data.csv", kind, row)
 
     def ground(self, ground: Ground) -> None:
         """A row for a change between ground and air."""

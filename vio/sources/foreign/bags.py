@@ -1,0 +1,205 @@
+"""ROS 1 bags, ROS 2 bags (sqlite3, MCAP) by rosbags, without a ROS installation."""
+
+import sqlite3
+import struct
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tagvo.camera import Camera
+from tagvo.camera_io import camera_of
+from tagvo.geometry import Array, IntArray
+from tagvo.records import Detections, Frame
+from vio.errors import LogError, VioError
+from vio.records import ImuTrack, Truth
+from vio.sources.foreign.images import ENCODINGS, picture, unpacked
+from vio.sources.foreign.messages import (
+    APRILTAG_MSGS,
+    calibration,
+    imu_values,
+    pose_values,
+    stamp_ns,
+    tags_of,
+)
+from vio.sources.foreign.records import Foreign, FrameReel
+from vio.sources.foreign.topics import COMPRESSED, Topic, choose
+from vio.sources.tally import Tally
+
+_SAME_CLOCK_NS = 2_000_000_000  # recorded within so much of its stamp: the same clock
+_MARK = 200  # messages whose lag is looked at for that
+_BROKEN = (ValueError, KeyError, IndexError, AttributeError, struct.error, sqlite3.Error,
+           AssertionError, EOFError, OSError, RuntimeError, UnicodeError)  # fmt: skip
+
+
+def read_bag(path: Path, named: Mapping[str, str], tally: Tally) -> Foreign:
+    """IMU, truth, camera and frames of a bag; topics are guessed unless named (`topics.choose`).
+
+    Stamps are those of the headers; arrivals are the times of recording, where these are in the
+    same clock. LogError where the file is no bag or has neither IMU nor frames.
+    """
+    with _opened(path) as reader:
+        topics = [Topic(name, info.msgtype or "", info.msgcount)
+                  for name, info in reader.topics.items()]  # fmt: skip
+        chosen, notes = choose(topics, named, str(path))
+        if not {"imu", "image", "detections"} & set(chosen):
+            kinds = ", ".join(f"{t.name} ({t.type})" for t in topics) or "no topic at all"
+            raise LogError(f"{path}: neither an IMU nor images nor tags in it; it has {kinds}")
+        bag = _Bag(path, reader, chosen, tally)
+        imu, truth = bag.imu(), bag.truth()
+        camera, tags = bag.camera(), bag.tags()
+        late = bag.same_clock()
+    if not late:
+        notes.append(f"{path}: recorded in another clock than stamped, so arrivals are not known")
+    if "truth" in chosen:
+        notes.append(f"{path}: {chosen['truth'].name} is taken for the pose of the IMU in the map")
+    imus = {} if imu is None else {"imu0": imu if late else _at_stamps(imu)}
+    reel = _reel(path, chosen, tags, late, tally)
+    return Foreign(imus, truth=truth, camera=camera, frames=reel, notes=tuple(notes))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """An open rosbags reader; what it cannot open is a LogError."""
+    try:
+        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    except ImportError:
+        raise VioError("bags need rosbags: pip install 'tagvio[logs]'") from None
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in APRILTAG_MSGS.items():
+        store.register(get_types_from_msg(text, name))
+    try:
+        reader = AnyReader([path], default_typestore=store)
+        reader.open()
+    except (AnyReaderError, *_BROKEN) as err:
+        hint = "; `rosbag reindex` or `ros2 bag reindex` may help" if path.exists() else ""
+        raise LogError(f"{path}: not a bag that can be read ({_said(err)}){hint}") from None
+    try:
+        yield reader
+    finally:
+        reader.close()
+
+
+class _Bag:
+    """One pass each over the topics of an open bag."""
+
+    def __init__(self, path: Path, reader: Any, chosen: Mapping[str, Topic], tally: Tally) -> None:
+        self._path, self._reader, self._chosen, self._tally = path, reader, chosen, tally
+        self._lags: list[int] = []
+
+    def messages(self, what: str) -> Iterator[tuple[int, Any]]:
+        """Time of recording [ns] and message; ends, counted, where the bag is broken."""
+        topic = self._chosen.get(what)
+        if topic is None:
+            return
+        ways = [c for c in self._reader.connections if c.topic == topic.name]
+        rows = self._reader.messages(connections=ways)
+        while True:
+            try:
+                connection, recorded_ns, raw = next(rows)
+            except StopIteration:
+                return
+            except Exception as err:  # whatever a broken file makes of a decoder
+                self._tally.count(
+                    "bag_broken", f"{self._path}: {topic.name} ends here ({_said(err)})"
+                )
+                return
+            try:
+                message = self._reader.deserialize(raw, connection.msgtype)
+            except Exception as err:
+                text = f"{self._path}: a message of {topic.name} is broken ({_said(err)})"
+                self._tally.count("bag_message_broken", text)
+                continue
+            if len(self._lags) < _MARK and what in ("imu", "image", "detections"):
+                self._lags.append(recorded_ns - stamp_ns(message))
+            yield int(recorded_ns), message
+
+    def same_clock(self) -> bool:
+        """Whether times of recording and stamps are of one clock, as far as was read."""
+        if not self._lags:
+            next(self.messages("image"), None)
+        return not self._lags or abs(float(np.median(self._lags))) < _SAME_CLOCK_NS
+
+    def imu(self) -> ImuTrack | None:
+        rows = [(stamp_ns(m), ns, *imu_values(m)) for ns, m in self.messages("imu")]
+        if not rows:
+            return None
+        t_ns, known_ns, gyro, accel = zip(*rows, strict=True)
+        return ImuTrack(_whole(t_ns), np.stack(gyro), np.stack(accel), _whole(known_ns))
+
+    def truth(self) -> Truth | None:
+        topic = self._chosen.get("truth")
+        if topic is None:
+            return None
+        rows = [(stamp_ns(m), *pose_values(m, topic.type)) for _, m in self.messages("truth")]
+        return truth_of(rows, self._path, self._tally)
+
+    def camera(self) -> Camera | None:
+        for _, message in self.messages("camera"):
+            return camera_of(calibration(message), self._path)
+        return None
+
+    def tags(self) -> dict[int, tuple[int, Detections]]:
+        """By stamp: when known, and the tags."""
+        return {stamp_ns(m): (ns, tags_of(m)) for ns, m in self.messages("detections")}
+
+
+def truth_of(rows: Sequence[tuple[int, Array, Array, Array]], path: Path, tally: Tally) -> Truth:
+    """Rows of stamp, p, q, v in the order of time; those without a pose are counted out."""
+    good = [r for r in rows if np.isfinite(np.concatenate(r[1:3])).all()
+            and abs(np.linalg.norm(r[2]) - 1.0) < 1e-2]  # fmt: skip
+    tally.count("truth_no_pose", f"{path}: truth without a pose", len(rows) - len(good))
+    if not good:
+        raise LogError(f"{path}: the truth has no valid row; unit quaternions are needed")
+    first = {row[0]: row for row in reversed(good)}
+    tally.count("truth_repeated", f"{path}: truth with a stamp again", len(good) - len(first))
+    t_ns, p, q, v = zip(*(first[t] for t in sorted(first)), strict=True)
+    quats, speeds = np.stack(q), np.stack(v)
+    quats = quats / np.linalg.norm(quats, axis=-1, keepdims=True)
+    return Truth(_whole(t_ns), np.stack(p), quats, speeds if np.isfinite(speeds).any() else None)
+
+
+def _reel(
+    path: Path,
+    chosen: Mapping[str, Topic],
+    tags: dict[int, tuple[int, Detections]],
+    late: bool,
+    tally: Tally,
+) -> FrameReel | None:
+    """Images with the tags of their stamps, or the tags alone."""
+    if "image" not in chosen:
+        if not tags:
+            return None
+        alone = [Frame(t, None, found, ns if late else None) for t, (ns, found) in tags.items()]
+        return FrameReel(len(alone), lambda: iter(alone))
+
+    def frames() -> Iterator[Frame]:
+        with _opened(path) as reader:
+            for ns, message in _Bag(path, reader, chosen, tally).messages("image"):
+                packed = chosen["image"].type == COMPRESSED
+                image = unpacked(message.data) if packed else picture(message)
+                t_ns = stamp_ns(message)
+                if image is None:
+                    said = getattr(message, "encoding", getattr(message, "format", "?"))
+                    text = f"{path}: an image of encoding {said!r} cannot be read"
+                    tally.count("image_unreadable", f"{text}; {ENCODINGS}, JPEG or PNG can")
+                    continue
+                _, found = tags.get(t_ns, (0, None))
+                yield Frame(t_ns, image, found, ns if late else None)
+
+    return FrameReel(chosen["image"].count, frames)
+
+
+def _said(err: BaseException) -> str:
+    return " ".join(str(err).split()) or type(err).__name__
+
+
+def _at_stamps(track: ImuTrack) -> ImuTrack:
+    return ImuTrack(track.t_ns, track.gyro_I, track.accel_I, track.t_ns, track.mean)
+
+
+def _whole(values: Iterable[int]) -> IntArray:
+    return np.array(list(values), dtype=np.int64)

@@ -1,0 +1,49 @@
+"""A flight log of our own, or any EuRoC folder, in the same terms as other people's logs."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from tagvo.camera import Camera
+from tagvo.camera_io import load_camera
+from vio.errors import LogError
+from vio.sources.companion import read_imu_of
+from vio.sources.foreign.records import Foreign, FrameReel
+from vio.sources.frames import FrameSource, open_frames
+from vio.sources.logfiles import read_truth
+from vio.sources.logoptions import LogOptions
+from vio.sources.tally import Tally
+
+_TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
+
+
+def read_flight_log(path: Path, tally: Tally) -> Foreign:
+    """All IMUs, truth, camera and frames that are there; LogError where none of it is."""
+    names = sorted(p.parent.name for p in path.glob("mav0/*imu*/data.csv"))
+    imus = {name: read_imu_of(path, name, tally) for name in names}
+    truth = read_truth(path / _TRUTH, tally) if (path / _TRUTH).exists() else None
+    camera = _camera(path)
+    source = None if camera is None else _frames(path, camera, tally)
+    if not imus and source is None:
+        raise LogError(f"{path}: no log that we know: no mav0 with an IMU or a camera's frames")
+    reel = None
+    if source is not None:
+        frames = source
+        rows = range(len(frames))
+        reel = FrameReel(
+            len(frames), lambda: (f for f in (frames.frame(i) for i in rows) if f is not None)
+        )
+    return Foreign(imus, truth=truth, camera=camera, frames=reel)
+
+
+def _camera(path: Path) -> Camera | None:
+    files = [path / "camchain-imucam.yaml", path / "mav0/cam0/sensor.yaml"]
+    file = next((p for p in files if p.exists()), None)
+    return None if file is None else replace(load_camera(file), source=str(file))
+
+
+def _frames(path: Path, camera: Camera, tally: Tally) -> FrameSource | None:
+    folder = path / "mav0/cam0"
+    if not ((folder / "data.csv").exists() or (folder / "detections.csv").exists()):
+        return None
+    options = LogOptions("imu0", False, None, 1, None, 0.0)
+    return open_frames(folder, camera.resolution, options, None, tally)

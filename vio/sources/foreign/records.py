@@ -1,0 +1,35 @@
+"""What a reader of another system's log found, in our terms."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from tagvo.camera import Camera
+from tagvo.geometry import IntArray
+from tagvo.records import Frame
+from vio.records import ImuTrack, Truth
+
+Step = Callable[[], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameReel:
+    """The frames of a log, read when asked for: total is how many there are at most."""
+
+    total: int
+    open: Callable[[], Iterator[Frame]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foreign:
+    """The content of one or several files of another system.
+
+    imus: by the name that they get in a flight log; noted_ns: by the same name, arrivals that were
+    noted in another clock than the stamps', (n,); truth of I in W; notes: what a person must know.
+    """
+
+    imus: Mapping[str, ImuTrack] = field(default_factory=dict)
+    noted_ns: Mapping[str, IntArray] = field(default_factory=dict)
+    truth: Truth | None = None
+    camera: Camera | None = None
+    frames: FrameReel | None = None
+    notes: tuple[str, ...] = ()
