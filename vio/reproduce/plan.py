@@ -18,6 +18,7 @@ HIDDEN, EVERY = (0.0, 0.2, 0.4, 0.6), (1, 2, 4, 8, 16)
 QUICK_CASES = {"0", "0.4", "0.6", "1", "4", "16", "0 ms", "300 ms", "1 m/s", "4 m/s"}
 LATENCY_S, SPEED_M_S = (0.0, 0.1, 0.2, 0.3), (1.0, 2.0, 3.0, 4.0)
 RATE_HZ, QUICK_HZ = 20.0, 10.0  # of images; the paper flew 20 Hz
+_MARGIN = "flight.margin_m=0.5"  # the tags of a sparse map end before the floor does
 WHOLE = "flight"  # the name of all phases together
 
 
@@ -66,15 +67,17 @@ def _future(seed: int, quick: bool) -> list[Task]:
 
     quick: the ends of each curve and a point between.
     """
-    rows = [("occlusion", f"{h:g}", "t3_qr", f"scene.hidden_share={h:g}") for h in HIDDEN]
-    rows += [("sparse", f"{n}", "t3_qr", f"map.every={n}") for n in EVERY]
-    rows += [
-        ("latency", f"{1e3 * s:g} ms", "t3_qr", f"stream.latency_s=[{s:g},{s:g}]")
-        for s in LATENCY_S
+    rows: list[tuple[str, str, str, tuple[str, ...]]] = [
+        *(("occlusion", f"{h:g}", "t3_qr", (f"scene.hidden_share={h:g}",)) for h in HIDDEN),
+        *(("sparse", f"{n}", "t3_qr", (f"map.every={n}", _MARGIN)) for n in EVERY),
+        *(
+            ("latency", f"{1e3 * s:g} ms", "t3_qr", (f"stream.latency_s=[{s:g},{s:g}]",))
+            for s in LATENCY_S
+        ),
+        *(("speed", f"{v:g} m/s", "fast", (f"flight.speed_m_s={v:g}",)) for v in SPEED_M_S),
     ]
-    rows += [("speed", f"{v:g} m/s", "fast", f"flight.speed_m_s={v:g}") for v in SPEED_M_S]
     return [
-        Task(case, scenario, (word,), seed, False, (Judge(study, (), FEW),))
-        for study, case, scenario, word in rows
+        Task(case, scenario, words, seed, False, (Judge(study, (), FEW),))
+        for study, case, scenario, words in rows
         if not quick or case in QUICK_CASES
     ]
