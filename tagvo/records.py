@@ -42,14 +42,18 @@ class Detections:
         margin: Array | None = None,
         sigma_px: Array | None = None,
     ) -> "Detections":
-        """Detections from ids (n,) and corners (n, 4, 2) [px]; the rest defaults to unknown."""
+        """Detections from ids (n,) and corners (n, 4, 2) [px]; the rest defaults to unknown.
+
+        Corners are laid out row by row whatever they came as: compiled code is compiled again for
+        every other layout, half a minute in the middle of a flight.
+        """
         n = len(tag_id)
         return Detections(
             np.asarray(tag_id, dtype=np.int64).reshape(n),
-            np.asarray(corners_px, dtype=float).reshape(n, 4, 2),
+            np.ascontiguousarray(corners_px, dtype=float).reshape(n, 4, 2),
             np.zeros(n, dtype=np.int64) if hamming is None else np.asarray(hamming, np.int64),
             np.full(n, np.nan) if margin is None else np.asarray(margin, dtype=float),
-            np.full((n, 4), np.nan) if sigma_px is None else np.asarray(sigma_px, dtype=float),
+            np.full((n, 4), np.nan) if sigma_px is None else np.ascontiguousarray(sigma_px, float),
         )
 
 

@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from pydantic import BaseModel, Field, PositiveFloat
+from pydantic import BaseModel, Field, PositiveFloat, field_validator
 
 
 class TrackConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
@@ -29,3 +29,9 @@ class TrackConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     sweep_s: float = Field(default=1.0, ge=0.0)
     strips: int = Field(default=4, ge=1, le=64)
     adaptive: bool = True
+
+    @field_validator("mode", mode="before")
+    @classmethod
+    def _as_meant(cls, value: object) -> object:
+        """YAML reads a bare on as true and off as false."""
+        return {True: "on", False: "off"}[value] if isinstance(value, bool) else value
