@@ -85,6 +85,7 @@ class Estimator:
         self._waiting: tuple[str, ...] = ("no_imu", "no_pose")
         self._accepted_ns = self._rejects = self._newest_ns = 0
         self._nis = 0.0
+        self._newest_nis = np.nan
         self._still_ns = self._judged_ns = 0
         self._resets = 0
         self._judge = self._new_judge()
@@ -180,6 +181,11 @@ class Estimator:
     def covariance(self) -> Array | None:
         """The whole error covariance now (n, n), None before the start."""
         return self._window.P[self._window.last].copy() if self._started else None
+
+    @property
+    def nis(self) -> float:
+        """Normalised innovation squared of the newest frame judged, per degree of freedom; NaN."""
+        return self._newest_nis
 
     @property
     def counters(self) -> dict[str, int]:
@@ -285,6 +291,7 @@ class Estimator:
         self._rejects = len(bad)
         nis = w.m_nis[vision[-20:]]
         self._nis = float(np.median(nis)) / 6.0 if nis.size else 0.0
+        self._newest_nis = float(nis[-1]) / 6.0 if nis.size else np.nan
         age = (w.now_ns - self._accepted_ns) * 1e-9
         c = self._config.recovery
         if len(bad) >= c.rejects and age > c.after_s:

@@ -60,11 +60,13 @@ def run(
     stop: Callable[[], bool] = lambda: False,
     sinks: Sequence[Sink] = (),
     result: RunResult | None = None,
+    look: Callable[[Trace], None] = lambda trace: None,
 ) -> RunResult:
     """Feed events in order to tagvo and the estimators; Ctrl-C ends it and keeps what there is.
 
     prior: where the camera should be at a stamp, for tagvo; each_frame: called after every frame;
-    stop: asked before every event, true ends it; result: where it gathers, None: a new one.
+    stop: asked before every event, true ends it; result: where it gathers, None: a new one; look:
+    shown every frame's intermediates once the estimators have taken them.
     """
     result = RunResult() if result is None else result
     result.outputs.update({e.name: [] for e in estimators})
@@ -92,6 +94,7 @@ def run(
                 _keep(result, estimator, said, sinks)
                 watch.lap("filter" if estimator.name == "vio" else "arms")
             watch.stop()
+            look(trace)
             each_frame()
     except KeyboardInterrupt:
         result.interrupted = True

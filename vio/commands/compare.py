@@ -34,9 +34,10 @@ def command(
 ) -> None:
     """Compare estimators on one log against its truth.
 
-    Writes DIR/comparison.json, DIR/report.html (opens offline) and a .tum trajectory each, and
+    Writes DIR/comparison.json, DIR/report.html (opens offline), DIR/evaluation.json (errors by
+    phase, height, speed and tags, drift, consistency, suspect tags) and a .tum trajectory each, and
     prints a table: `capture` compares a pose with truth at its own time, `now` compares what was
-    known at each moment of truth.
+    known at each moment of truth. A tag that lies elsewhere than the map says is named.
     """
     choice = opt.Choice(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
@@ -44,7 +45,7 @@ def command(
     )  # fmt: skip
     from vio.commands.replay_log import all_vo_arms, replay_log
 
-    done = replay_log(choice, all_vo_arms, vo_only=vo_only, needs_truth=True)
+    done = replay_log(choice, all_vo_arms, vo_only=vo_only, needs_truth=True, inspect=True)
     judge(done, out, skip, align, f"tagvio compare {done.log.path.name}")
     if done.result.interrupted:
         raise typer.Exit(130)
@@ -61,12 +62,12 @@ def _window(log: "FlightLog", skip: float) -> "Window":
 
 def judge(done: "Replayed", out: Path, skip: float, align: Align, title: str) -> "dict[str, Any]":
     """Write what a comparison leaves in `out`, print its table; the content of comparison.json."""
-    import numpy as np
     from rich.console import Console
 
+    from vio.commands.inspect_run import inspected
     from vio.commands.replay_log import frame_counts, run_summary
     from vio.evaluate.compare import comparison, table, write_json
-    from vio.evaluate.report import Extra, write_report
+    from vio.evaluate.report import write_report
     from vio.run import trajectory, tum_rows
     from vio.sinks.tum import write_tum
 
@@ -83,13 +84,10 @@ def judge(done: "Replayed", out: Path, skip: float, align: Align, title: str) ->
         write_tum(out / f"{one.name}.tum", *tum_rows(one))
     write_json(out / "comparison.json", content)
     write_json(out / "run.json", run_summary(done))
-    extra = Extra(
-        title, window, t_zero_ns=log.t0_ns,
-        tags_t_ns=np.array(result.tags_t_ns, dtype=np.int64),
-        tags_count=np.array(result.tags_count, dtype=np.int64), notes=tuple(done.warnings),
-    )  # fmt: skip
+    extra, said = inspected(done, trajectories, window, align, title)
+    write_json(out / "evaluation.json", extra.evaluation)
     write_report(out / "report.html", content, trajectories, log.truth, log.tag_map, extra)
-    for text in done.warnings:
+    for text in [*done.warnings, *said]:
         typer.echo(f"warning: {text}", err=True)
     Console().print(table(content))
     typer.echo(f"{out / 'comparison.json'}, {out / 'report.html'}")

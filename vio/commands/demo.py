@@ -48,7 +48,7 @@ def command(
             log, out / name, config_path(config), (), "imu0", False, None, 1, None, 0.0
         )
         arms, vo_only = (vo_arms, True) if name == "new" else (_vo_arm, False)
-        done = replay_log(choice, arms, vo_only=vo_only, needs_truth=True)
+        done = replay_log(choice, arms, vo_only=vo_only, needs_truth=True, inspect=True)
         typer.echo(f"\n{title[0].upper()}{title[1:]}:")
         contents[name] = judge(done, out / name, 0.0, "none", f"tagvio demo: {title}")
         if done.result.interrupted:

@@ -21,6 +21,10 @@ from vio.warmup import warm_tracker, warm_up
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from tagvo.pipeline import Trace
+    from vio.evaluate.diary import DiaryKeeper
+    from vio.evaluate.sightings import SightingBook
+
 
 _REJECTED = (*flt.REFUSED, "pose_not_finite")
 
@@ -38,6 +42,8 @@ class Replayed:
     timing_ms: dict[str, dict[str, float]]
     vio: VioArm | None
     warnings: list[str]
+    book: "SightingBook | None" = None
+    diary: "DiaryKeeper | None" = None
 
 
 def replay_log(
@@ -46,8 +52,12 @@ def replay_log(
     *,
     vo_only: bool,
     needs_truth: bool = False,
+    inspect: bool = False,
 ) -> Replayed:
-    """Run a log through the VO arms made for it and, unless vo_only, through the filter."""
+    """Run a log through the VO arms made for it and, unless vo_only, through the filter.
+
+    inspect: also keep what was seen of the map and what the filter believed, for a report.
+    """
     log, config = open_all(choice)
     if needs_truth and log.truth is None:
         raise EvaluationError(
@@ -65,10 +75,34 @@ def replay_log(
     tracks = config.tagvo.track.mode == "on"
     ask = (tracks or config.tagvo.ambiguity == "prior") and vio is not None
     prior = vio.prior if ask and vio else _no_prior
+    book, diary, look = _inspectors(log, config, vio) if inspect else (None, None, _no_look)
     with progress(log.frame_count, "frames") as step, gently() as stop:
-        result = run(log.events(), vo, estimators, watch, step, prior, stop)
+        result = run(log.events(), vo, estimators, watch, step, prior, stop, look=look)
     warnings += [] if vio is None else _doubts(vio, result, str(log.path))
-    return Replayed(log, config, result, watch.summary(), vio, [*log.warnings, *warnings])
+    said = [*log.warnings, *warnings]
+    return Replayed(log, config, result, watch.summary(), vio, said, book, diary)
+
+
+def _no_look(trace: "Trace") -> None:
+    return None
+
+
+def _inspectors(
+    log: FlightLog, config: Config, vio: VioArm | None
+) -> "tuple[SightingBook, DiaryKeeper | None, Callable[[Trace], None]]":
+    """What writes down the sightings and the filter's beliefs, and what shows both a frame."""
+    from vio.evaluate.diary import DiaryKeeper
+    from vio.evaluate.sightings import SightingBook
+
+    book = SightingBook(config.tagvo.joint.reject_weight)
+    diary = None if vio is None else DiaryKeeper(vio.estimator, log.camera.R_CI.T)
+
+    def look(trace: "Trace") -> None:
+        book.note(trace)
+        if diary is not None:
+            diary.note(trace.t_ns)
+
+    return book, diary, look
 
 
 def _doubts(vio: VioArm, result: RunResult, where: str) -> list[str]:

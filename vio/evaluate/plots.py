@@ -8,8 +8,11 @@ import numpy as np
 from tagvo.geometry import Array, IntArray
 from tagvo.tagmap import TagMap
 from vio.evaluate.compare import Judged
+from vio.evaluate.diary import Diary
 from vio.evaluate.lines import band, in_time, path_in_time, tag_outlines, thin
 from vio.evaluate.records import Errors
+from vio.evaluate.sightings import Sightings
+from vio.evaluate.suspects import Judgement
 from vio.evaluate.truth import TruthTrack
 from vio.evaluate.verdict import label
 
@@ -17,6 +20,8 @@ COLORS = {"vo": "#56B4E9", "vo_fir": "#009E73", "vo_kf": "#CC79A7", "vio": "#D55
 OTHER_COLOR = "#E69F00"
 TRUTH_COLOR = "#000000"  # the page turns it to light ink in the dark
 GREY = "#808080"
+SUSPECT_COLOR = "#CC3311"
+_CLASSES = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe-Ito
 _UNITS = ((1e3, "mm"), (180.0 / np.pi, "deg"))
 _XYZ, _RXYZ = ("x", "y", "z"), ("rx", "ry", "rz")
 _BAND = {
@@ -114,6 +119,90 @@ def timing_figure(timing_ms: Mapping[str, Mapping[str, float | None]]) -> Any:
     fig.update_layout(height=140 + 34 * len(stages), xaxis_title="ms a frame")
     fig.update_xaxes(rangemode="tozero")
     return fig
+
+
+def classes_figure(seen: Sightings, tag_map: TagMap, t_zero_ns: int) -> Any:
+    """Number of tags of each size in each frame that was kept."""
+    import plotly.graph_objects as go
+
+    fig = go.Figure()
+    sizes = np.round(tag_map.size[seen.row], 6)
+    for k, size in enumerate(tag_map.classes):
+        count = np.bincount(seen.frame[sizes == size], minlength=len(seen.t_ns))
+        t_s, y = thin(*in_time(seen.t_ns, count.astype(float), t_zero_ns))
+        line = {"color": _CLASSES[k % len(_CLASSES)], "width": 1.5, "shape": "hv"}
+        fig.add_trace(_curve(t_s, y, line=line, name=f"{100 * size:.3g} cm"))
+    fig.update_layout(height=260, xaxis_title="t s", yaxis_title="tags seen")
+    fig.update_yaxes(rangemode="tozero")
+    return fig
+
+
+def belief_figure(
+    t_ns: IntArray, value: Array, sigma: Array, unit: tuple[float, str], t_zero_ns: int
+) -> Any:
+    """A belief of the filter over time with its 3 sigma, a line an axis; (n, k), (n, k)."""
+    import plotly.graph_objects as go
+
+    factor, title = unit
+    fig = go.Figure()
+    for k in range(value.shape[1]):
+        tint = _CLASSES[k % len(_CLASSES)]
+        mid, half = factor * value[:, k], 3.0 * factor * sigma[:, k]
+        for edge in (mid - half, mid + half):
+            t_s, y = in_time(t_ns, edge, t_zero_ns)
+            line = {"color": tint, "width": 0.7, "dash": "dot"}
+            fig.add_trace(_curve(*thin(t_s, y), line=line, showlegend=False, hoverinfo="skip"))
+        name = "xyz"[k] if value.shape[1] == 3 else "offset"
+        t_s, y = in_time(t_ns, mid, t_zero_ns)
+        fig.add_trace(_curve(*thin(t_s, y), line={"color": tint, "width": 1.5}, name=name))
+    late = slice(len(t_ns) // 10, None)  # the first moments' width would hide the rest
+    spread = factor * np.abs(value[late]) + 3.0 * factor * sigma[late]
+    limit = float(spread.max()) if spread.size else 1.0
+    fig.update_layout(height=260, xaxis_title="t s", yaxis_title=title)
+    fig.update_yaxes(range=[-1.1 * limit, 1.1 * limit])
+    return fig
+
+
+def nis_figure(diary: Diary, t_zero_ns: int) -> Any:
+    """NIS of each frame's pose per degree of freedom, with the two-sided 95 % of chi-square."""
+    import plotly.graph_objects as go
+    from scipy.stats import chi2
+
+    t_s, y = thin(*in_time(diary.t_ns, diary.nis, t_zero_ns))
+    fig = go.Figure(_curve(t_s, y, line={"color": color("vio"), "width": 1}, showlegend=False))
+    for bound in chi2.ppf([0.025, 0.975], 6) / 6.0:
+        fig.add_hline(y=float(bound), line={"color": GREY, "dash": "dash", "width": 1})
+    fig.update_layout(height=240, xaxis_title="t s", yaxis_title="NIS / 6")
+    fig.update_yaxes(rangemode="tozero")
+    return fig
+
+
+def add_blackouts(fig: Any, stretches: Sequence[tuple[int, int]], t_zero_ns: int) -> bool:
+    """Shade stretches of time [ns] behind both rows of an error figure; whether there were any."""
+    for start, end in stretches:
+        x0, x1 = ((t - t_zero_ns) * 1e-9 for t in (start, end))
+        fig.add_vrect(x0=x0, x1=x1, fillcolor=GREY, opacity=0.18, line_width=0, layer="below")
+    return bool(stretches)
+
+
+def add_resets(fig: Any, diary: Diary, t_zero_ns: int) -> bool:
+    """Mark where the filter began anew; whether it did."""
+    moments = diary.t_ns[1:][np.diff(diary.resets) > 0]
+    for t_ns in moments.tolist():
+        line = {"color": SUSPECT_COLOR, "width": 1.5, "dash": "dashdot"}
+        fig.add_vline(x=(t_ns - t_zero_ns) * 1e-9, line=line)
+    return bool(len(moments))
+
+
+def add_suspects(fig: Any, tags: Judgement, tag_map: TagMap) -> None:
+    """Mark suspect tags, with an arrow's worth of line to where they were found."""
+    rows = tags.row[tags.suspect]
+    start = tag_map.p_WT[rows]
+    end = start + tags.offset_W[tags.suspect]
+    points = np.stack([start, end, np.full_like(start, np.nan)], axis=1).reshape(-1, 3)
+    names = [f"tag {tag_map.tag_id[row]}" for row in rows for _ in range(3)]
+    line = {"color": SUSPECT_COLOR, "width": 8}
+    fig.add_trace(_path3d(points, "suspect tags", line, text=names, hoverinfo="text"))
 
 
 def _add_sizes(fig: Any, errors: Errors, name: str, view: str, t_zero_ns: int) -> None:

@@ -11,11 +11,15 @@ import numpy as np
 from tagvo.geometry import IntArray
 from tagvo.tagmap import TagMap
 from tagvo.textfile import write_atomic
-from vio.evaluate import plots
+from vio.evaluate import plots, sections
 from vio.evaluate.align import Z_AXIS
 from vio.evaluate.compare import COLUMNS, Judged, judge, rows
+from vio.evaluate.diary import Diary
 from vio.evaluate.page import page
 from vio.evaluate.records import Trajectory, TruthLike, Window
+from vio.evaluate.sections import Picture
+from vio.evaluate.sightings import Sightings
+from vio.evaluate.suspects import Judgement
 from vio.evaluate.truth import TruthTrack, clean_truth
 from vio.evaluate.verdict import label, verdict
 
@@ -27,7 +31,9 @@ class Extra:
     """What a report may show besides: title, what was run, and the tags of each frame.
 
     window and axis_W: as given to `comparison`; t_zero_ns: where the time axis starts (None: at
-    truth's first row); tags_t_ns, tags_count (m,): tags used in each frame; notes: lines of text.
+    truth's first row); tags_t_ns, tags_count (m,): tags used in each frame; notes: lines of text;
+    evaluation: of `breakdown`; diary: what the filter believed; sightings, tags: what was seen of
+    the map, and where its tags were found; moments: the worst, with their images.
     """
 
     title: str = "tagvio compare"
@@ -37,6 +43,11 @@ class Extra:
     tags_t_ns: IntArray | None = None
     tags_count: IntArray | None = None
     notes: tuple[str, ...] = ()
+    evaluation: Mapping[str, Any] = field(default_factory=dict)
+    diary: Diary | None = None
+    sightings: Sightings | None = None
+    tags: Judgement | None = None
+    moments: tuple[Picture, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +124,10 @@ def table_section(m: Material) -> str:
 def trajectory_section(m: Material) -> str:
     """The paths in 3-D."""
     caption = "The paths over the tags (grey squares); drag to turn, scroll to zoom."
-    drawn = figure(plots.trajectory_figure(m.judged, m.truth, m.tag_map), "trajectory", caption)
+    fig = plots.trajectory_figure(m.judged, m.truth, m.tag_map)
+    if m.extra.tags is not None and m.tag_map is not None and m.extra.tags.suspect.any():
+        plots.add_suspects(fig, m.extra.tags, m.tag_map)
+    drawn = figure(fig, "trajectory", caption)
     return f"<h2>Trajectory</h2>\n{drawn}"
 
 
@@ -122,7 +136,14 @@ def error_section(m: Material) -> str:
     if not any(len(one.capture) + len(one.now) for one in m.judged):
         return ""
     caption = "Size of the error at capture; a tap on the legend shows the live view (dotted)."
-    drawn = figure(plots.error_figure(m.judged, m.t_zero_ns), "errors", caption)
+    fig = plots.error_figure(m.judged, m.t_zero_ns)
+    if m.extra.tags_t_ns is not None and m.extra.tags_count is not None:
+        dark = sections.blackouts(m.extra.tags_t_ns, m.extra.tags_count)
+        if plots.add_blackouts(fig, dark, m.t_zero_ns):
+            caption += " Shaded: no pose from tags for half a second and more."
+    if m.extra.diary is not None and plots.add_resets(fig, m.extra.diary, m.t_zero_ns):
+        caption += " Upright lines: the filter began anew."
+    drawn = figure(fig, "errors", caption)
     return f"<h2>Error over time</h2>\n{drawn}"
 
 
@@ -155,7 +176,41 @@ def tags_section(m: Material) -> str:
     if t_ns is None or count is None or not len(t_ns):
         return ""
     caption = f"Tags used in each frame, median {np.median(count):.0f}."
-    return f"<h2>Tags</h2>\n{figure(plots.tags_figure(t_ns, count, m.t_zero_ns), 'tags', caption)}"
+    drawn = figure(plots.tags_figure(t_ns, count, m.t_zero_ns), "tags", caption)
+    if m.extra.sightings is not None and m.tag_map is not None:
+        by_class = plots.classes_figure(m.extra.sightings, m.tag_map, m.t_zero_ns)
+        drawn += figure(by_class, "classes", "Tags seen, by their size.")
+    return f"<h2>Tags</h2>\n{drawn}"
+
+
+def breakdown_section(m: Material) -> str:
+    """Where the errors are, and whether the covariances know of them."""
+    return sections.breakdown_html(m.extra.evaluation.get("estimators", {}))
+
+
+def suspects_section(m: Material) -> str:
+    """Tags that lie elsewhere than the map says, and those that were often rejected."""
+    if m.extra.tags is None or m.extra.sightings is None or m.tag_map is None:
+        return ""
+    return sections.suspects_html(m.extra.tags, m.extra.sightings, m.tag_map)
+
+
+def moments_section(m: Material) -> str:
+    """The worst moments as the camera saw them."""
+    return sections.moments_html(m.extra.moments)
+
+
+def diary_section(m: Material) -> str:
+    """What the filter came to believe of its biases and its rig."""
+    diary = m.extra.diary
+    if diary is None or len(diary) < 2:
+        return ""
+    parts = [
+        figure(plots.belief_figure(diary.t_ns, *belief, unit, m.t_zero_ns), f"belief-{name}", text)
+        for name, belief, unit, text in sections.beliefs(diary)
+    ]
+    drawn = figure(plots.nis_figure(diary, m.t_zero_ns), "nis", sections.NIS)
+    return f'<h2>What the filter believes</h2>\n<div class="pair">{"".join(parts)}</div>{drawn}'
 
 
 def timing_section(m: Material) -> str:
@@ -172,8 +227,12 @@ SECTIONS = (
     table_section,
     trajectory_section,
     error_section,
+    moments_section,
+    breakdown_section,
     axis_section,
+    diary_section,
     tags_section,
+    suspects_section,
     timing_section,
 )
 

@@ -1,0 +1,48 @@
+"""Relative pose errors: how far an estimate drifts over a time or a way, whatever it started at."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from tagvo import geometry as geo
+from tagvo.geometry import Array, IntArray
+
+
+def relative_errors(
+    p: Array, R: Array, p_true: Array, R_true: Array, pairs: IntArray
+) -> tuple[Array, Array]:
+    """Translation [m] and rotation [rad] error of the motion over each pair of rows; (k,), (k,).
+
+    p, p_true (n, 3); R, R_true (n, 3, 3); pairs (k, 2). As evo's RPE: the motion of the estimate
+    seen from where the true motion leads.
+    """
+    i, j = pairs[:, 0], pairs[:, 1]
+    moved, true = (_motion(q, S, i, j) for q, S in ((p, R), (p_true, R_true)))
+    turn = np.swapaxes(true[0], -1, -2)
+    gap = np.einsum("kij,kj->ki", turn, moved[1] - true[1])
+    return np.linalg.norm(gap, axis=-1), geo.angle(turn @ moved[0])
+
+
+def _motion(p: Array, R: Array, i: IntArray, j: IntArray) -> tuple[Array, Array]:
+    back = np.swapaxes(R[i], -1, -2)
+    return back @ R[j], np.einsum("kij,kj->ki", back, p[j] - p[i])
+
+
+def pairs_in_time(t_ns: IntArray, seconds: float, slack: float = 0.1) -> IntArray:
+    """Each row with the first that is `seconds` later, within a share of it; (k, 2)."""
+    span = round(seconds * 1e9)
+    later = np.searchsorted(t_ns, t_ns + span)
+    rows = np.flatnonzero(later < len(t_ns))
+    late = t_ns[later[rows]] - t_ns[rows] - span
+    rows = rows[late <= slack * span]
+    return np.stack([rows, later[rows]], axis=-1)
+
+
+def pairs_along_way(p_true: Array, metres: float) -> IntArray:
+    """Rows one after another, each the first that is `metres` of way beyond the one before."""
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(p_true, axis=0), axis=-1)))
+    rows, last = [0], 0.0
+    while (row := int(np.searchsorted(way, last + metres))) < len(way):
+        rows.append(row)
+        last = float(way[row])
+    return np.array(list(pairwise(rows)), dtype=np.int64).reshape(-1, 2)
