@@ -30,6 +30,14 @@ class RecordConfig(_Model):
     min_free_mb: float = Field(default=200.0, ge=0.0)
 
 
+class LiveConfig(_Model):
+    """The live view; port null: no server, mcap null: no file."""
+
+    port: int | None = Field(default=None, ge=0, le=65535)
+    host: str = "127.0.0.1"
+    mcap: str | None = None
+
+
 class DaemonConfig(_Model):
     """What `tagvio daemon` flies with; paths are relative to the configuration's folder."""
 
@@ -38,5 +46,6 @@ class DaemonConfig(_Model):
     imu_noise: str | None = None
     camera: CameraConfig = CameraConfig()
     record: RecordConfig = RecordConfig()
+    live: LiveConfig = LiveConfig()
     status_file: str | None = None
     vehicle_wait_s: float = Field(default=60.0, gt=0.0, le=3600.0)

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tagvo.pipeline import TagVO
+from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Frame, PosePrior
 from vio import estimator as flt
 from vio.arms import VoArm
@@ -22,7 +22,8 @@ from vio.daemon.status import Rates, Status, cpu_by_thread
 from vio.daemon.worker import Detection
 from vio.mavlink.bridge import Bridge
 from vio.mavlink.latency import Ages
-from vio.run import RunResult, run
+from vio.run import RunResult, Sink, run
+from vio.sinks.live_view import LiveView
 from vio.sources.live_camera import Latest
 from vio.sources.live_events import LiveEvents
 from vio.stopwatch import Stopwatch
@@ -70,6 +71,7 @@ class Flight:
         bridge.watch(self.meter.sent)
         if recorder is not None:
             bridge.watch(recorder.sent)
+        self.view: LiveView | None = None
 
     def ready(self) -> None:
         """Start what stands between the sources and the loop."""
@@ -79,10 +81,11 @@ class Flight:
 
     def fly(self) -> RunResult:
         """The loop, until the events end or stop says so."""
-        sinks = [] if self.recorder is None else [self.recorder]
+        sinks: list[Sink] = [s for s in (self.recorder, self.view) if s is not None]
+        look = _no_look if self.view is None else self.view.look
         return run(
             self.events, self._loop_vo, [VoArm(self._camera), self.arm], self._watch,
-            prior=self._prior, stop=self._stop, sinks=sinks, result=self.result,
+            prior=self._prior, stop=self._stop, sinks=sinks, result=self.result, look=look,
         )  # fmt: skip
 
     def _prior(self, t_ns: int) -> PosePrior | None:
@@ -112,6 +115,8 @@ class Flight:
         self.bridge.stop()
         if self.recorder is not None:
             self.recorder.stop()
+        if self.view is not None:
+            self.view.close()
 
     def status(self, rates: Rates, now_s: float) -> dict[str, Any]:
         """All figures, for the status file and the log."""
@@ -169,11 +174,16 @@ class Flight:
             dict(self.arm.counters), dict(self.result.reasons), *(c.copy() for c in self._more),
             {"frames_skipped": self.latest.dropped},
             {} if self.recorder is None else self.recorder.counters.copy(),
+            {} if self.view is None else self.view.counters.copy(),
         ]  # fmt: skip
         merged: dict[str, int] = {}
         for part in parts:
             merged |= part
         return {name: n for name, n in sorted(merged.items()) if n}
+
+
+def _no_look(trace: Trace) -> None:
+    return None
 
 
 def _link_figures(companion: Any) -> tuple[Ages | None, str | None, float | None]:

@@ -25,10 +25,11 @@ from vio.daemon.prepare import (
     read_parts,
 )
 from vio.daemon.recorder import Recorder
-from vio.errors import LinkError, LogError
+from vio.errors import LinkError, LogError, VioError
 from vio.mavlink.bridge import Bridge
 from vio.records import Ground, ImuSample
 from vio.run import RunResult
+from vio.sinks.live_view import LiveView
 from vio.sources.live_camera import LiveCamera
 from vio.sources.live_grab import Grabber, open_camera
 from vio.sources.live_imu import MavlinkImu
@@ -63,6 +64,7 @@ def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | Non
         camera = LiveCamera(open_it, flight.see, bridge.say)
         counters += [imu.counters, camera.counters]
         bridge.listen(imu.heard)
+        flight.view = _view(flight, parts, where, time.time_ns() - time.monotonic_ns())
         return _fly(flight, camera, systemd, _status_file(config, where))
 
 
@@ -96,6 +98,26 @@ def _recorder(parts: Parts, where: Path, bridge: Bridge) -> Recorder | None:
         return None
     LOG.info("recording to %s", writer.path)
     return Recorder(writer, parts.config.daemon.record, bridge.say)
+
+
+def _view(flight: Flight, parts: Parts, where: Path, epoch_ns: int) -> LiveView | None:
+    """The live view, where one is wanted; a flight does not wait for want of it."""
+    live = parts.config.daemon.live
+    if live.port is None and live.mcap is None:
+        return None
+    name = time.strftime("flight-%Y%m%d-%H%M%S.mcap")
+    file = None if live.mcap is None else where / Path(live.mcap).expanduser() / name
+    try:
+        view = LiveView(
+            parts.tag_map, parts.camera, port=live.port, host=live.host, mcap=file,
+            arm=flight.arm, epoch_ns=epoch_ns,
+        )  # fmt: skip
+    except (VioError, OSError) as err:
+        LOG.warning("%s; this flight is flown without it", err)
+        return None
+    if view.port is not None:
+        LOG.info("live view at ws://%s:%d (Foxglove)", live.host, view.port)
+    return view
 
 
 def _taker(flight: Flight, config: Config) -> Callable[[ImuSample], None]:
@@ -192,6 +214,7 @@ def replay(
         first = min(int(log.imu.arrival_ns.min()), int(log.frames.received_ns.min()))
         clock = FlightClock(first, time.monotonic_ns() + _LEAD_NS, speed)
         flight = Flight(parts, bridge, stop, None, clock, [])
+        flight.view = _view(flight, parts, Path.cwd(), 0)
         player = Player(log, flight.events, flight.latest, flight.meter, each_frame)
         flight.ready()
         status = start_status(flight, None, Systemd({}))

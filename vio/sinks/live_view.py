@@ -1,0 +1,325 @@
+"""Shows a flight as it happens: a Foxglove WebSocket server, an MCAP file, or both.
+
+The flight only puts things down; a thread of this module's turns them into messages. What it does
+not get to in time is dropped and counted, so a slow viewer (or disk) never slows the flight.
+"""
+
+import contextlib
+import logging
+import threading
+from collections import Counter, deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tagvo.camera import Camera
+from tagvo.geometry import Array, BoolArray
+from tagvo.pipeline import Trace
+from tagvo.records import Frame, Observations
+from tagvo.tagmap import TagMap
+from vio.arms import Output
+from vio.errors import VioError
+from vio.health import Health
+
+LOG = logging.getLogger("vio.sinks.live")
+_FRAME_NS, _STATE_NS, _AGAIN_NS = 100_000_000, 20_000_000, 5_000_000_000
+_FRAMES, _STATES, _WORDS = 3, 100, 200  # that may wait
+_TRAIL, _TRAIL_M = 600, 0.02
+_WAKE_S = 0.25
+_PATIENCE_S = 2.0
+_LEVELS = ((logging.ERROR, "Error"), (logging.WARNING, "Warning"), (logging.INFO, "Info"))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """A frame with what was found in it."""
+
+    t_ns: int
+    image: Any
+    seen: Observations
+    rejected: BoolArray
+    where: tuple[Array, Array] | None  # R_WC, p_WC that the filter expects
+    health: Health | None
+    figures: dict[str, float]
+
+
+class LiveView:
+    """A sink of a run; `look` takes each frame's intermediates. `close` ends the server and file.
+
+    counters: what was shown and what was dropped.
+    """
+
+    def __init__(
+        self,
+        tag_map: TagMap,
+        camera: Camera,
+        *,
+        port: int | None = None,
+        host: str = "127.0.0.1",
+        mcap: Path | None = None,
+        arm: Any = None,
+        lossless: bool = False,
+        epoch_ns: int = 0,
+    ) -> None:
+        """port: of the server, 0: any free one, None: no server; mcap: a file that is not there yet.
+
+        arm: the filter's (`VioArm`), asked for its prior and health; lossless: let a run wait for
+        the file rather than drop; epoch_ns: added to stamps to make them times of day. VioError
+        where the port is in use, the file is there or foxglove-sdk is not installed.
+        """
+        try:
+            import foxglove
+        except ImportError:
+            raise VioError(
+                "the live view needs foxglove-sdk: pip install 'tagvio[live]'"
+            ) from None
+        self._map, self._camera, self._arm = tag_map, camera, arm
+        self._epoch_ns, self._lossless = epoch_ns, lossless
+        self.counters: Counter[str] = Counter()
+        self._context = foxglove.Context()
+        self._server = self._file = None
+        try:
+            if mcap is not None:
+                mcap.parent.mkdir(parents=True, exist_ok=True)
+                self._file = foxglove.open_mcap(str(mcap), context=self._context)
+            if port is not None:
+                self._server = foxglove.start_server(
+                    name="tagvio", host=host, port=port, context=self._context,
+                    message_backlog_size=64,
+                )  # fmt: skip
+        except (OSError, RuntimeError, ValueError) as err:
+            what = f"{mcap}" if mcap is not None and self._file is None else f"{host}:{port}"
+            if self._file is not None:
+                self._file.close()
+            raise VioError(f"live view {what}: {' '.join(str(err).split())}") from None
+        self._channels = _Channels(self._context)
+        self._frames: deque[_Seen] = deque()
+        self._states: deque[Output] = deque()
+        self._words: deque[tuple[int, str, str]] = deque(maxlen=_WORDS)
+        self._more = threading.Condition()
+        self._image: Frame | None = None
+        self._frame_ns = self._state_ns = self._map_ns = -(1 << 62)
+        self._now_ns = 0
+        self._trail: deque[Array] = deque(maxlen=_TRAIL)
+        self._ending = False
+        self._handler = _Words(self)
+        logging.getLogger("vio").addHandler(self._handler)
+        self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
+        self._thread.start()
+
+    @property
+    def port(self) -> int | None:
+        """Where the server listens; None: there is none."""
+        return None if self._server is None else int(self._server.port)
+
+    # what the flight puts down
+
+    def event(self, event: object) -> None:
+        """An event is about to be taken: a frame's image is kept for when its tags are known."""
+        if isinstance(event, Frame):
+            self._image = event
+
+    def output(self, name: str, output: Output) -> None:
+        """Something new of an estimator: the filter's is shown, up to 50 a second."""
+        if name != "vio" or 0 <= output.t_ns - self._state_ns < _STATE_NS:
+            return
+        self._state_ns = output.t_ns
+        self._put(self._states, output, _STATES, "states")
+
+    def look(self, trace: Trace) -> None:
+        """A frame with its intermediates, up to ten a second."""
+        self._now_ns = trace.t_ns
+        if not self._lossless and 0 <= trace.t_ns - self._frame_ns < _FRAME_NS:
+            return
+        self._frame_ns = trace.t_ns
+        rejected = np.zeros(len(trace.observations), dtype=bool)
+        if trace.joint is not None:
+            rejected = trace.joint.weight < 0.25
+        prior = None if self._arm is None else self._arm.prior(trace.t_ns)
+        where = None if prior is None else (prior.R_WC, prior.p_WC)
+        health = None if self._arm is None else self._arm.estimator.health()
+        mine = self._image is not None and self._image.t_ns == trace.t_ns
+        image = self._image.image if mine and self._image is not None else None
+        figures = self._figures(trace)
+        item = _Seen(trace.t_ns, image, trace.observations, rejected, where, health, figures)
+        self._put(self._frames, item, _FRAMES, "frames")
+
+    def _figures(self, trace: Trace) -> dict[str, float]:
+        """Numbers of a frame for the plots."""
+        used = 0 if trace.pose is None else len(trace.pose.tag_ids)
+        out = {"tags_seen": float(len(trace.observations)), "tags_used": float(used)}
+        if self._arm is not None:
+            out["nis_per_dof"] = self._arm.estimator.nis
+            state = self._arm.estimator.state()
+            if state is not None:
+                from vio import layout as at
+
+                for k, axis in enumerate("xyz"):
+                    out[f"gyro_bias_{axis}_rad_s"] = float(state[at.X_BG + k])
+                    out[f"accel_bias_{axis}_m_s2"] = float(state[at.X_BA + k])
+                out["time_offset_ms"] = 1e3 * float(state[at.X_TD])
+        return {name: value for name, value in out.items() if np.isfinite(value)}
+
+    def say(self, level: str, text: str) -> None:
+        """A log message."""
+        with self._more:
+            self._words.append((self._now_ns, level, text))
+            self._more.notify()
+
+    def _put(self, waiting: "deque[Any]", item: Any, limit: int, what: str) -> None:
+        """Leave something for the thread; the oldest goes where too much waits."""
+        with self._more:
+            if self._lossless:
+                self._more.wait_for(lambda: len(waiting) < limit, _PATIENCE_S)
+            if len(waiting) >= limit:
+                waiting.popleft()
+                self.counters[f"live_{what}_dropped"] += 1
+            waiting.append(item)
+            self._more.notify_all()
+
+    # what the thread does
+
+    def _work(self) -> None:
+        while True:
+            with self._more:
+                self._more.wait_for(self._something, _WAKE_S)
+                frames, states = list(self._frames), list(self._states)
+                words = list(self._words)
+                self._frames.clear()
+                self._states.clear()
+                self._words.clear()
+                done = self._ending and not (frames or states or words)
+                self._more.notify_all()
+            if done:
+                return
+            try:
+                self._show(frames, states, words)
+            except Exception:  # a view must not end for one strange frame, nor be silent
+                self.counters["live_faults"] += 1
+                if self.counters["live_faults"] == 1:
+                    LOG.exception("the live view goes on after a fault")
+
+    def _something(self) -> bool:
+        return bool(self._frames or self._states or self._words or self._ending)
+
+    def _show(
+        self, frames: list[_Seen], states: list[Output], words: list[tuple[int, str, str]]
+    ) -> None:
+        for t_ns, level, text in words:
+            self._channels.log(t_ns + self._epoch_ns, level, text)
+        for frame in frames:
+            self._show_frame(frame)
+        for state in states:
+            self._show_state(state)
+
+    def _show_frame(self, frame: _Seen) -> None:
+        from vio.sinks import live_messages as make
+
+        c, t_ns = self._channels, frame.t_ns + self._epoch_ns
+        self.counters["live_frames"] += 1
+        if not 0 <= t_ns - self._map_ns < _AGAIN_NS:  # again for those who came later
+            self._map_ns = t_ns
+            c.scene.log(make.map_scene(t_ns, self._map), log_time=t_ns)
+            c.calibration.log(make.calibration(t_ns, self._camera), log_time=t_ns)
+        if frame.image is not None and c.image.has_sinks():
+            c.image.log(make.image(t_ns, frame.image), log_time=t_ns)
+        if c.outlines.has_sinks():
+            predicted = [] if frame.where is None else make.expected(
+                self._map, self._camera, *frame.where)  # fmt: skip
+            width = self._camera.resolution[0]
+            shown = make.outlines(t_ns, frame.seen, frame.rejected, predicted, width)
+            c.outlines.log(shown, log_time=t_ns)
+        if frame.health is not None:
+            h = frame.health
+            word = {"state": h.state.value, "reasons": list(h.reasons), "resets": h.resets}
+            c.health.log(word, log_time=t_ns)
+        c.figures.log(dict(frame.figures), log_time=t_ns)
+
+    def _show_state(self, state: Output) -> None:
+        from vio.sinks import live_messages as make
+
+        c, t_ns = self._channels, state.t_ns + self._epoch_ns
+        body = make.Body(t_ns, state.p_WI, state.R_WI, state.v_WI, state.cov)
+        if not self._trail or np.linalg.norm(state.p_WI - self._trail[-1]) > _TRAIL_M:
+            self._trail.append(state.p_WI.copy())
+            if c.scene.has_sinks():
+                c.scene.log(make.body_scene(body, np.array(self._trail)), log_time=t_ns)
+        c.transforms.log(make.transforms(body, self._camera), log_time=t_ns)
+        c.state.log(_numbers(state), log_time=t_ns)
+        self.counters["live_states"] += 1
+
+    def close(self) -> None:
+        """Show what waits, for two seconds at most, and end."""
+        logging.getLogger("vio").removeHandler(self._handler)
+        with self._more:
+            self._ending = True
+            self._more.notify_all()
+        self._thread.join(_PATIENCE_S)
+        if self._server is not None:
+            self._server.stop()
+        if self._file is not None:
+            self._file.close()
+
+
+class _Words(logging.Handler):
+    """Hands log messages of ours to a view."""
+
+    def __init__(self, view: LiveView) -> None:
+        super().__init__(logging.INFO)
+        self._view = view
+
+    def emit(self, record: logging.LogRecord) -> None:
+        level = next((name for least, name in _LEVELS if record.levelno >= least), "Debug")
+        with contextlib.suppress(Exception):  # a message that cannot be formatted is not our fault
+            self._view.say(level, record.getMessage())
+
+
+class _Channels:
+    """The topics of one view."""
+
+    def __init__(self, context: Any) -> None:
+        from foxglove import Channel, channels
+
+        self.image = channels.CompressedImageChannel("/camera/image", context=context)
+        self.calibration = channels.CameraCalibrationChannel("/camera/calibration", context=context)
+        self.outlines = channels.ImageAnnotationsChannel("/camera/tags", context=context)
+        self.scene = channels.SceneUpdateChannel("/scene", context=context)
+        self.transforms = channels.FrameTransformsChannel("/tf", context=context)
+        self._words = channels.LogChannel("/log", context=context)
+        self.state = Channel("/filter/state", message_encoding="json", context=context)
+        self.figures = Channel("/filter/figures", message_encoding="json", context=context)
+        self.health = Channel("/filter/health", message_encoding="json", context=context)
+
+    def log(self, t_ns: int, level: str, text: str) -> None:
+        """A message of ours."""
+        from foxglove import messages as fox
+
+        from vio.sinks.live_messages import stamp
+
+        kind = getattr(fox.LogLevel, level)
+        word = fox.Log(timestamp=stamp(t_ns), level=kind, message=text, name="tagvio")
+        self._words.log(word, log_time=t_ns)
+
+
+def _numbers(state: Output) -> dict[str, Any]:
+    """A state as numbers to plot: metres, degrees."""
+    from tagvo import geometry as geo
+
+    rpy = np.degrees(geo.rpy_from_matrix(state.R_WI))
+    out: dict[str, Any] = {
+        "position_m": dict(zip("xyz", map(float, state.p_WI), strict=True)),
+        "rpy_deg": dict(zip(("roll", "pitch", "yaw"), map(float, rpy), strict=True)),
+        "age_ms": 1e-6 * (state.known_ns - state.t_ns),
+    }
+    if state.v_WI is not None:
+        out["velocity_m_s"] = dict(zip("xyz", map(float, state.v_WI), strict=True))
+    if state.cov is not None:
+        sigma = np.sqrt(np.maximum(np.diag(state.cov), 0.0))
+        out["sigma_m"] = dict(zip("xyz", map(float, sigma[:3]), strict=True))
+        out["sigma_deg"] = dict(zip("xyz", map(float, np.degrees(sigma[3:6])), strict=True))
+    return out
+
+
