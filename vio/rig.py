@@ -13,7 +13,7 @@ from tagvo.geometry import Array
 from vio import layout as at
 from vio.settings import RigConfig, VioConfig
 
-_CONVINCED = 1.0  # log odds for the file's value from which it is believed
+_CONVINCED = 2.0  # log odds for the file's value from which it is believed
 _CONTRADICTION = (36.0, 25.0)  # chi-square beyond doubt: 1 dof and 3 dof, 1e-5 and less
 
 
@@ -38,8 +38,7 @@ class _Claim:
             return self._open
         if self._wide <= self._tight or float(np.linalg.eigvalsh(C)[-1]) > self._enough:
             return None
-        odds = _evidence(e, C + self._tight * eye) - _evidence(e, C + self._wide * eye)
-        if odds < _CONVINCED:
+        if _odds(e, C, self._wide) < _CONVINCED:
             return None
         self.confirmed = True
         return np.concatenate([file, [self._tight]])
@@ -68,6 +67,9 @@ class RigJudge:
         return [row for row in (turned, delayed) if row is not None]
 
 
-def _evidence(e: Array, S: Array) -> float:
-    """Log likelihood, but for a constant, of an estimate e with covariance S about zero."""
-    return float(-0.5 * (e @ np.linalg.solve(S, e) + np.linalg.slogdet(S)[1]))
+def _odds(e: Array, C: Array, wide: float) -> float:
+    """Log odds that the file is right against a free prior: how the data have changed the density
+    at the file's value (Savage and Dickey); e, C: posterior about it, wide: variance of the prior.
+    """
+    spread = float(np.linalg.slogdet(C)[1])
+    return float(0.5 * (len(e) * np.log(wide) - spread - e @ np.linalg.solve(C, e)))

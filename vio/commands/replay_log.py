@@ -1,5 +1,6 @@
 """What `run` and `compare` do alike: a log through tagvo and its arms, and the files they leave."""
 
+import logging
 from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -20,12 +21,15 @@ from vio.warmup import warm_tracker, warm_up
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from tagvo.pipeline import Trace
     from vio.evaluate.diary import DiaryKeeper
     from vio.evaluate.sightings import SightingBook
+    from vio.sinks.live_view import LiveView
 
 
+LOG = logging.getLogger("vio.commands")
 _REJECTED = (*flt.REFUSED, "pose_not_finite")
 
 
@@ -53,10 +57,12 @@ def replay_log(
     vo_only: bool,
     needs_truth: bool = False,
     inspect: bool = False,
+    view: "tuple[int | None, Path | None]" = (None, None),
 ) -> Replayed:
     """Run a log through the VO arms made for it and, unless vo_only, through the filter.
 
-    inspect: also keep what was seen of the map and what the filter believed, for a report.
+    inspect: also keep what was seen of the map and what the filter believed, for a report; view:
+    port and MCAP file of a live view.
     """
     log, config = open_all(choice)
     if needs_truth and log.truth is None:
@@ -76,8 +82,15 @@ def replay_log(
     ask = (tracks or config.tagvo.ambiguity == "prior") and vio is not None
     prior = vio.prior if ask and vio else _no_prior
     book, diary, look = _inspectors(log, config, vio) if inspect else (None, None, _no_look)
-    with progress(log.frame_count, "frames") as step, gently() as stop:
-        result = run(log.events(), vo, estimators, watch, step, prior, stop, look=look)
+    shown = _view(log, vio, view)
+    looks = look if shown is None else _both(look, shown.look)
+    sinks = [] if shown is None else [shown]
+    try:
+        with progress(log.frame_count, "frames") as step, gently() as stop:
+            result = run(log.events(), vo, estimators, watch, step, prior, stop, sinks, look=looks)
+    finally:
+        if shown is not None:
+            shown.close()
     warnings += [] if vio is None else _doubts(vio, result, str(log.path))
     said = [*log.warnings, *warnings]
     return Replayed(log, config, result, watch.summary(), vio, said, book, diary)
@@ -85,6 +98,30 @@ def replay_log(
 
 def _no_look(trace: "Trace") -> None:
     return None
+
+
+def _view(
+    log: FlightLog, vio: VioArm | None, view: "tuple[int | None, Path | None]"
+) -> "LiveView | None":
+    port, mcap = view
+    if port is None and mcap is None:
+        return None
+    from vio.sinks.live_view import LiveView
+
+    shown = LiveView(log.tag_map, log.camera, port=port, mcap=mcap, arm=vio, lossless=True)
+    if shown.port is not None:
+        LOG.warning("live view: ws://127.0.0.1:%d, in Foxglove or any viewer of its", shown.port)
+    return shown
+
+
+def _both(
+    one: "Callable[[Trace], None]", other: "Callable[[Trace], None]"
+) -> "Callable[[Trace], None]":
+    def look(trace: "Trace") -> None:
+        one(trace)
+        other(trace)
+
+    return look
 
 
 def _inspectors(

@@ -1,6 +1,7 @@
 """`tagvio run`: a flight log through the estimators, trajectories and counts to files."""
 
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
@@ -19,13 +20,21 @@ def command(
     every: opt.Every = 1,
     blackout: opt.Blackout = None,
     latency: opt.Latency = 0.0,
+    live: Annotated[
+        int | None,
+        typer.Option("--live", metavar="PORT", min=0, max=65535, help="Serve a Foxglove view."),
+    ] = None,
+    mcap: Annotated[
+        Path | None, typer.Option("--mcap", metavar="FILE", help="Write what a view would show.")
+    ] = None,
 ) -> None:
     """Run a flight log through tagvo and the filter; write trajectories and counts.
 
     DIR/vo.tum: a line a frame with a pose, at capture time. DIR/vio.tum: a line an IMU sample once
     the filter has started. Poses are those of the IMU in the map, in the form that evo reads.
     DIR/run.json counts frames, faults of the log, what was dropped or rejected and why, the
-    filter's states, and times each stage.
+    filter's states, and times each stage. --live and --mcap show images with tags, the map, the
+    body with its trail and covariance, and plots in Foxglove (extra `live`).
     """
     from vio.commands.replay_log import replay_log, run_summary, vo_arms
     from vio.evaluate.compare import write_json
@@ -36,7 +45,7 @@ def command(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip
-    done = replay_log(choice, vo_arms, vo_only=vo_only)
+    done = replay_log(choice, vo_arms, vo_only=vo_only, view=(live, mcap))
     name = "vo" if done.config.tagvo.fir == "none" else "vo_fir"
     write_tum(out / "vo.tum", *tum_rows(trajectory(name, done.result.outputs[name])))
     files = [out / "vo.tum"]

@@ -1,4 +1,4 @@
-"""What a viewer is shown, as Foxglove's messages: pictures, outlines, the map, the body, its trail."""
+"""What a viewer is shown, as Foxglove messages: pictures, outlines, map, body and its trail."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ Image = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """The filter at a moment: t_ns; p_WI (3,), R_WI (3, 3), v_WI (3,) or None, cov (6, 6) or None."""
+    """The filter at a moment: p_WI (3,), R_WI (3, 3), v_WI (3,) and cov (6, 6) or None."""
 
     t_ns: int
     p_WI: Array
@@ -84,8 +84,8 @@ def expected(tag_map: TagMap, camera: Camera, R_WC: Array, p_WC: Array) -> list[
     """Corners (4, 2) of each tag of the map that lies wholly in the picture."""
     corners = tag_map.corners_W.reshape(-1, 3)
     near = np.linalg.norm(tag_map.p_WT - p_WC, axis=-1) < 60.0 * tag_map.size
-    pixels, front = project(camera, (corners - p_WC) @ R_WC)
-    pixels, front = pixels.reshape(-1, 4, 2), front.reshape(-1, 4).all(axis=1)
+    pixels, seen = project(camera, (corners - p_WC) @ R_WC)
+    pixels, front = pixels.reshape(-1, 4, 2), np.asarray(seen.reshape(-1, 4).all(axis=1))
     size = np.array(camera.resolution, dtype=float)
     inside = front & near & ((pixels >= 0.0) & (pixels <= size)).all(axis=(1, 2))
     return list(pixels[inside])

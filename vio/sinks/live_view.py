@@ -8,7 +8,6 @@ import contextlib
 import logging
 import threading
 from collections import Counter, deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +28,7 @@ _FRAME_NS, _STATE_NS, _AGAIN_NS = 100_000_000, 20_000_000, 5_000_000_000
 _FRAMES, _STATES, _WORDS = 3, 100, 200  # that may wait
 _TRAIL, _TRAIL_M = 600, 0.02
 _WAKE_S = 0.25
-_PATIENCE_S = 2.0
+_PATIENCE_S, _GOODBYE_S = 2.0, 0.3
 _LEVELS = ((logging.ERROR, "Error"), (logging.WARNING, "Warning"), (logging.INFO, "Info"))
 
 
@@ -64,7 +63,7 @@ class LiveView:
         lossless: bool = False,
         epoch_ns: int = 0,
     ) -> None:
-        """port: of the server, 0: any free one, None: no server; mcap: a file that is not there yet.
+        """port: of the server, 0: any free one, None: no server; mcap: a file not there yet.
 
         arm: the filter's (`VioArm`), asked for its prior and health; lossless: let a run wait for
         the file rather than drop; epoch_ns: added to stamps to make them times of day. VioError
@@ -73,9 +72,7 @@ class LiveView:
         try:
             import foxglove
         except ImportError:
-            raise VioError(
-                "the live view needs foxglove-sdk: pip install 'tagvio[live]'"
-            ) from None
+            raise VioError("the live view needs foxglove-sdk: pip install 'tagvio[live]'") from None
         self._map, self._camera, self._arm = tag_map, camera, arm
         self._epoch_ns, self._lossless = epoch_ns, lossless
         self.counters: Counter[str] = Counter()
@@ -258,8 +255,10 @@ class LiveView:
             self._ending = True
             self._more.notify_all()
         self._thread.join(_PATIENCE_S)
-        if self._server is not None:
-            self._server.stop()
+        if self._server is not None:  # it waits for clients, and one that has stalled never goes
+            stopper = threading.Thread(target=self._server.stop, name="live end", daemon=True)
+            stopper.start()
+            stopper.join(_GOODBYE_S)
         if self._file is not None:
             self._file.close()
 
@@ -321,5 +320,3 @@ def _numbers(state: Output) -> dict[str, Any]:
         out["sigma_m"] = dict(zip("xyz", map(float, sigma[:3]), strict=True))
         out["sigma_deg"] = dict(zip("xyz", map(float, np.degrees(sigma[3:6])), strict=True))
     return out
-
-

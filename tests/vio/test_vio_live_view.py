@@ -1,0 +1,210 @@
+"""The live view: a client gets scene, image and plots; a stalled one costs the flight nothing."""
+
+import base64
+import hashlib
+import json
+import os
+import socket
+import struct
+import threading
+import time
+
+import numpy as np
+import pytest
+from cli_calls import tagvio
+from oracles.suspect_study import flight
+
+from tagvo.pipeline import TagVO
+from tagvo.records import Frame
+from vio.arms import Output
+from vio.errors import VioError
+from vio.sinks.live_messages import expected
+
+pytest.importorskip("foxglove")
+from vio.sinks.live_view import LiveView
+
+TOPICS = {"/camera/image", "/camera/tags", "/camera/calibration", "/scene", "/tf", "/log",
+          "/filter/state", "/filter/figures", "/filter/health"}  # fmt: skip
+
+
+class Client:
+    """A WebSocket client of the Foxglove protocol, written from its public description."""
+
+    def __init__(self, port):
+        self.socket = socket.create_connection(("127.0.0.1", port), timeout=10)
+        key = base64.b64encode(os.urandom(16)).decode()
+        self.socket.sendall(
+            (f"GET / HTTP/1.1\r\nHost: localhost:{port}\r\nUpgrade: websocket\r\n"
+             f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\nSec-WebSocket-Version: 13\r\n"
+             "Sec-WebSocket-Protocol: foxglove.sdk.v1\r\n\r\n").encode())  # fmt: skip
+        self.rest = b""
+        while b"\r\n\r\n" not in self.rest:
+            self.rest += self.socket.recv(4096)
+        head, self.rest = self.rest.split(b"\r\n\r\n", 1)
+        assert b"101" in head.split(b"\r\n")[0]
+        accept = hashlib.sha1(f"{key}258EAFA5-E914-47DA-95CA-C5AB0DC85B11".encode()).digest()
+        assert base64.b64encode(accept) in head
+
+    def _exactly(self, n):
+        while len(self.rest) < n:
+            data = self.socket.recv(65536)
+            if not data:
+                raise EOFError
+            self.rest += data
+        out, self.rest = self.rest[:n], self.rest[n:]
+        return out
+
+    def frame(self):
+        """Opcode and payload of the next message."""
+        first, second = self._exactly(2)
+        n = second & 127
+        if n == 126:
+            (n,) = struct.unpack(">H", self._exactly(2))
+        elif n == 127:
+            (n,) = struct.unpack(">Q", self._exactly(8))
+        return first & 15, self._exactly(n)
+
+    def send(self, message):
+        data = json.dumps(message).encode()
+        mask = os.urandom(4)
+        head = bytes([0x81]) + (bytes([0x80 | len(data)]) if len(data) < 126 else
+                                bytes([0xFE]) + struct.pack(">H", len(data)))  # fmt: skip
+        self.socket.sendall(head + mask + bytes(b ^ mask[i % 4] for i, b in enumerate(data)))
+
+    def subscribe(self, seconds=10.0):
+        """Ask for every channel as it is announced; topic by subscription id."""
+        topics, until = {}, time.monotonic() + seconds
+        while set(topics.values()) < TOPICS and time.monotonic() < until:
+            opcode, payload = self.frame()
+            if opcode != 1:
+                continue
+            message = json.loads(payload)
+            if message.get("op") != "advertise":
+                continue
+            new = {c["id"]: c["topic"] for c in message["channels"]}
+            self.send({"op": "subscribe", "subscriptions": [
+                {"id": i, "channelId": i} for i in new]})  # fmt: skip
+            topics |= new
+        return topics
+
+
+@pytest.fixture(scope="module")
+def flown():
+    recording, seen = flight(1, "t1_qr", ("stream.rate_hz=10", "flight.takeoff=false"))
+    vo = TagVO(recording.camera, recording.tag_map)
+    return recording, [(frame, vo.trace(frame)) for frame in seen[:60]]
+
+
+def play(view, recording, shown, image):
+    for k, (frame, trace) in enumerate(shown):
+        view.event(Frame(frame.t_ns, image, trace.detections))
+        view.look(trace)
+        pose = trace.pose
+        if pose is not None:
+            view.output("vio", Output(frame.t_ns, frame.t_ns + 1000 * k, pose.p_WC, pose.R_WC,
+                                      np.zeros(3), pose.cov))  # fmt: skip
+        time.sleep(0.005)
+
+
+def test_a_client_gets_image_scene_and_plots(flown):
+    recording, shown = flown
+    view = LiveView(recording.tag_map, recording.camera, port=0)
+    try:
+        client = Client(view.port)
+        topics = client.subscribe()
+        assert set(topics.values()) == TOPICS
+        time.sleep(0.2)
+        image = np.full(recording.camera.resolution[::-1], 90, dtype=np.uint8)
+        player = threading.Thread(target=play, args=(view, recording, shown, image))
+        player.start()
+        got, until = {}, time.monotonic() + 20.0
+        wanted = TOPICS - {"/log", "/filter/health"}
+        while not wanted <= set(got) and time.monotonic() < until:
+            opcode, payload = client.frame()
+            if opcode == 2 and payload[0] == 1:
+                subscription, t_ns = struct.unpack_from("<IQ", payload, 1)
+                got.setdefault(topics[subscription], (t_ns, payload[13:]))
+        player.join()
+    finally:
+        view.close()
+    assert wanted <= set(got)
+    assert b"\xff\xd8\xff" in got["/camera/image"][1]  # a JPEG
+    state = json.loads(got["/filter/state"][1])
+    assert set(state["position_m"]) == {"x", "y", "z"}
+    assert state["sigma_m"]["x"] > 0.0
+    assert json.loads(got["/filter/figures"][1])["tags_seen"] > 0
+    assert got["/filter/state"][0] in {frame.t_ns for frame, _ in shown}
+    assert view.counters["live_frames"] > 20
+    assert "live_faults" not in view.counters
+
+
+def test_a_stalled_client_does_not_make_the_flight_wait(flown):
+    """Time that the flight spends on the view, five pairs, with a client that reads and without."""
+    recording, shown = flown
+    image = np.random.default_rng(0).integers(0, 255, recording.camera.resolution[::-1],
+                                              dtype=np.uint8)  # fmt: skip
+
+    def cost(stalled):
+        view = LiveView(recording.tag_map, recording.camera, port=0)
+        try:
+            client = None
+            if stalled:
+                client = Client(view.port)
+                client.subscribe()
+                client.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            taken = []
+            for frame, trace in shown:
+                start = time.perf_counter()
+                view.event(Frame(frame.t_ns, image, trace.detections))
+                view.look(trace)
+                taken.append(time.perf_counter() - start)
+                time.sleep(0.004)
+            return 1e3 * float(np.median(taken))
+        finally:
+            start = time.monotonic()
+            view.close()
+            assert time.monotonic() - start < 2.5  # a stalled viewer does not hold up the end
+            if client is not None:
+                client.socket.close()
+
+    pairs = [(cost(False), cost(True)) for _ in range(5)]
+    alone, stalled = np.median(pairs, axis=0)
+    assert stalled - alone <= max(0.1 * alone, 2.0)
+    assert stalled < 2.0
+
+
+def test_what_is_expected_in_the_picture_is_where_the_tags_are(flown):
+    recording, shown = flown
+    trace = next(t for _, t in shown if t.pose is not None and len(t.observations) >= 4)
+    corners = expected(recording.tag_map, recording.camera, trace.pose.R_WC, trace.pose.p_WC)
+    found = trace.observations.corners_px
+    nearest = [min(np.abs(c - want).max() for c in corners) for want in found]
+    assert np.median(nearest) < 4.0  # tags are laid to 2 mm, seen from half a metre
+
+
+def test_a_port_in_use_is_said(flown):
+    recording, _ = flown
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(VioError, match=r"live view 127\.0\.0\.1"):
+            LiveView(recording.tag_map, recording.camera, port=taken.getsockname()[1])
+
+
+def test_run_writes_an_mcap_that_opens(tmp_path):
+    from flying_log import write_flying_log
+
+    log = write_flying_log(tmp_path, seconds=3.0)
+    done = tagvio("run", log, "--out", tmp_path / "out", "--mcap", tmp_path / "view.mcap")
+    assert done.code == 0, done.err
+    assert (tmp_path / "view.mcap").stat().st_size > 10_000
+    plain = tagvio("run", log, "--out", tmp_path / "plain")
+    assert plain.code == 0
+    same = [(tmp_path / d / "vio.tum").read_bytes() for d in ("out", "plain")]
+    assert same[0] == same[1]
+    data = (tmp_path / "view.mcap").read_bytes()
+    assert data[:8] == data[-8:] == b"\x89MCAP0\r\n"  # whole to its end
+    assert all(t.encode() in data for t in ("/filter/state", "/filter/figures", "/scene", "/tf"))
+    again = tagvio("run", log, "--out", tmp_path / "again", "--mcap", tmp_path / "view.mcap")
+    assert again.code == 1
+    assert "view.mcap" in again.err
