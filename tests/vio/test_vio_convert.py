@@ -267,10 +267,18 @@ IMU = (("gyro", "f8", 3), ("accel", "f8", 3))
 POSE = (("p", "f8", 3), ("q", "f8", 4), ("v", "f8", 3))
 
 
+def within(want, got, end_ns):
+    """Both up to a moment, of the second only rows that the first has."""
+    want = want[want["t"] < end_ns]
+    return want, got[np.isin(got["t"], want["t"])]
+
+
 def converted(flights, name, ending, out, tmp_path):
     packed = flights / name / f"{name}.{ending}.gz"
-    with gzip.open(packed) as source, (tmp_path / f"f.{ending}").open("wb") as sink:
-        shutil.copyfileobj(source, sink)
+    with gzip.open(packed) as source:
+        whole = source.read()
+    part = whole[: len(whole) // 3] if ending == "BIN" else whole  # pymavlink takes its time
+    (tmp_path / f"f.{ending}").write_bytes(part)
     link = flights / name / f"{name}.tlog"
     done = tagvio("convert", tmp_path / f"f.{ending}", link, "--out", out, "--shift", "2.4,3.4,0")
     assert done.code == 0, done.err
@@ -284,17 +292,19 @@ def converted(flights, name, ending, out, tmp_path):
 def test_an_autopilots_own_log_gives_what_lies_beside_it(flights, tmp_path, name, ending, turn):
     out, beside = tmp_path / "log", flights / name
     converted(flights, name, ending, out, tmp_path)
-    end = (("arrival", "i8"), ("mean", "i8"))
+    more = (("arrival", "i8"), ("mean", "i8"))
 
     want = table(beside / "mav0/imu0/data.csv", *IMU)
-    got = table(out / "mav0/imu0/data.csv", *IMU, *end)
-    got = got[np.isin(got["t"], want["t"])]
+    got = table(out / "mav0/imu0/data.csv", *IMU, *more)
+    end_ns = got["t"][-20]  # where a file was cut, its last rows are not whole
+    want, got = within(want, got, end_ns)
+    assert len(want) > 29_000
     assert_array_equal(got["t"], want["t"])  # as uneven as they are
     assert_allclose(got["gyro"], want["gyro"], atol=5.1e-7)
     assert_allclose(got["accel"], want["accel"], atol=5.1e-6)
 
     want, got = table(beside / TRUTH, *POSE), table(out / TRUTH, *POSE)
-    got = got[np.isin(got["t"], want["t"])]
+    want, got = within(want, got, min(end_ns, got["t"][-20]))
     assert_array_equal(got["t"], want["t"])
     assert_allclose(got["p"], want["p"], atol=5.1e-6)
     assert_allclose(got["v"], want["v"], atol=5.1e-6)
@@ -302,7 +312,7 @@ def test_an_autopilots_own_log_gives_what_lies_beside_it(flights, tmp_path, name
     assert geo.angle(np.swapaxes(R, -1, -2) @ R_there).max() < turn
 
     want = table(beside / "mav0/imu_mavlink/data.csv", *IMU, ("arrival", "i8"))
-    got = table(out / "mav0/imu_mavlink/data.csv", *IMU, *end)
+    got = table(out / "mav0/imu_mavlink/data.csv", *IMU, *more)
     got = got[np.isin(got["t"], want["t"])]
     assert_array_equal(got["t"], want["t"])
     assert_array_equal(got["arrival"], want["arrival"])
