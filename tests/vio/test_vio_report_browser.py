@@ -11,7 +11,7 @@ from cli_calls import tagvio
 from flying_log import write_flying_log
 
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser")
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium here: apt install chromium")
+needs_browser = pytest.mark.skipif(BROWSER is None, reason="no Chromium: apt install chromium")
 PROBE = """<script>setTimeout(() => {
   const plots = [...document.querySelectorAll(".js-plotly-plot")];
   const wide = plots.filter(p => p._fullLayout.width > document.body.clientWidth);
@@ -43,6 +43,7 @@ def browse(page, width, *words):
     ], done.stdout
 
 
+@needs_browser
 @pytest.mark.parametrize("width", [1200, 500])
 def test_it_draws_all_plots_within_the_page(report, tmp_path, width):
     probed = tmp_path / "probed.html"
@@ -57,6 +58,7 @@ def test_it_draws_all_plots_within_the_page(report, tmp_path, width):
     assert wide == 0
 
 
+@needs_browser
 def test_in_the_dark_it_is_dark(report, tmp_path):
     light, dark = tmp_path / "light.png", tmp_path / "dark.png"
     browse(report, 900, f"--screenshot={light}")
@@ -66,3 +68,13 @@ def test_in_the_dark_it_is_dark(report, tmp_path):
     assert np.median(night) < 60
     assert day.std() > 10
     assert night.std() > 10
+
+
+def test_the_plots_are_written_as_files_on_request(tmp_path):
+    log = write_flying_log(tmp_path, seconds=3.0)
+    done = tagvio("compare", log, "--out", tmp_path / "out", "--png")
+    assert done.code == 0, done.err
+    for name in ("errors.png", "trajectory.png"):
+        image = cv2.imread(str(tmp_path / "out" / name))
+        assert image.shape[1] > 1000
+        assert image.std() > 5.0

@@ -9,7 +9,7 @@ from vio.commands import options as opt
 
 if TYPE_CHECKING:
     from vio.commands.replay_log import Replayed
-    from vio.evaluate.records import Window
+    from vio.evaluate.records import Trajectory, Window
     from vio.sources.log import FlightLog
 
 Align = Literal["none", "yaw", "se3"]
@@ -31,6 +31,7 @@ def command(
         0.0, "--skip", metavar="S", min=0.0, max=1e9, help="Judge from S seconds on."
     ),
     align: Align = typer.Option("none", "--align", help="Align to truth before judging."),
+    png: bool = typer.Option(False, "--png", help="Also write errors.png and trajectory.png."),
 ) -> None:
     """Compare estimators on one log against its truth.
 
@@ -46,7 +47,7 @@ def command(
     from vio.commands.replay_log import all_vo_arms, replay_log
 
     done = replay_log(choice, all_vo_arms, vo_only=vo_only, needs_truth=True, inspect=True)
-    judge(done, out, skip, align, f"tagvio compare {done.log.path.name}")
+    judge(done, out, skip, align, f"tagvio compare {done.log.path.name}", png=png)
     if done.result.interrupted:
         raise typer.Exit(130)
 
@@ -60,7 +61,9 @@ def _window(log: "FlightLog", skip: float) -> "Window":
     return Window(start + round(skip * 1e9), max(log.end_ns, log.end_ns + shift_ns))
 
 
-def judge(done: "Replayed", out: Path, skip: float, align: Align, title: str) -> "dict[str, Any]":
+def judge(
+    done: "Replayed", out: Path, skip: float, align: Align, title: str, *, png: bool = False
+) -> "dict[str, Any]":
     """Write what a comparison leaves in `out`, print its table; the content of comparison.json."""
     from rich.console import Console
 
@@ -87,8 +90,25 @@ def judge(done: "Replayed", out: Path, skip: float, align: Align, title: str) ->
     extra, said = inspected(done, trajectories, window, align, title)
     write_json(out / "evaluation.json", extra.evaluation)
     write_report(out / "report.html", content, trajectories, log.truth, log.tag_map, extra)
+    if png:
+        _draw(done, trajectories, window, align, out)
     for text in [*done.warnings, *said]:
         typer.echo(f"warning: {text}", err=True)
     Console().print(table(content))
     typer.echo(f"{out / 'comparison.json'}, {out / 'report.html'}")
     return content
+
+
+def _draw(
+    done: "Replayed", trajectories: "list[Trajectory]", window: "Window", align: Align, out: Path
+) -> None:
+    """The main plots as files."""
+    from vio.evaluate.compare import judge as judge_one
+    from vio.evaluate.pngs import write_pngs
+    from vio.evaluate.truth import clean_truth
+
+    log = done.log
+    assert log.truth is not None
+    truth = clean_truth(log.truth)
+    judged = [judge_one(t, truth, align, window) for t in trajectories]
+    write_pngs(out, judged, truth, log.tag_map, log.t0_ns)

@@ -44,11 +44,14 @@ def command(
     with every nuisance at once. Then tags hidden, sparse maps, latency and speed (by exact corners
     with noise).
 
-    Images are rendered and searched for tags, once for all estimators. DIR/reproduce.md holds all
-    tables, DIR/reproduce.json all figures. What is done is kept in DIR/flown: the same call goes on
-    where it was stopped, by Ctrl-C too. Without --quick it takes about four times as long.
+    Images are rendered and searched for tags, once for all estimators. DIR/reproduce.md and
+    DIR/report.html hold all tables, DIR/reproduce.json all figures. What is done is kept in
+    DIR/flown: the same call goes on where it was stopped, by Ctrl-C too. Without --quick it takes
+    about four times as long.
     """
+    from tagvo.textfile import write_atomic
     from vio.evaluate.compare import write_json
+    from vio.evaluate.page import page_of_markdown
     from vio.reproduce.orderings import orderings
     from vio.reproduce.plan import tasks
     from vio.reproduce.records import Scores
@@ -66,10 +69,12 @@ def command(
     every = Scores(s for scores in found for s in scores)
     claims = orderings(every)
     head = _head(seed, seeds, quick, corners, len(found), len(todo))
-    (out / "reproduce.md").write_text(document(every, claims, head), encoding="utf-8")
+    text = document(every, claims, head)
+    write_atomic(out / "reproduce.md", text)
+    write_atomic(out / "report.html", page_of_markdown("tagvio reproduce", text))
     write_json(out / "reproduce.json", _content(every, claims, head))
     _say(claims, interrupted, len(found), len(todo))
-    typer.echo(f"{out / 'reproduce.md'}, {out / 'reproduce.json'}")
+    typer.echo(f"{out / 'reproduce.md'}, {out / 'reproduce.json'}, {out / 'report.html'}")
     if interrupted:
         raise typer.Exit(130)
 

@@ -68,6 +68,17 @@ paint();
 """
 
 
+def page_of_markdown(title: str, text: str) -> str:
+    """A whole HTML page of a Markdown document with tables."""
+    from markdown_it import MarkdownIt
+
+    body = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
+    wide = body.replace("<table>", '<div class="wide"><table>').replace(
+        "</table>", "</table></div>"
+    )
+    return page(title, wide, "")
+
+
 def page(title: str, body: str, library: str) -> str:
     """A whole HTML page that needs nothing else; library: the JavaScript of plotly."""
     return (
