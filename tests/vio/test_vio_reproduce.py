@@ -35,11 +35,11 @@ def made(study_name, case, phase, arm, view="capture", p=0.02, o=1.0, n=100):
     return scored((study_name, case, phase, arm, view), np.full(n, p), np.full(n, o), 1.0)
 
 
-@pytest.mark.parametrize("quick", [True, False])
-def test_every_flight_of_the_future_work_can_be_flown(quick):
+def test_the_farthest_flights_of_the_future_work_can_be_flown():
     """One that leaves its map would end the whole study, after all others were flown."""
-    future = [t for t in plan.tasks(1, 1, quick, True) if t.scenario in ("fast",) or not t.images]
-    assert len(future) >= 10
+    ends = ("map.every=16", "flight.speed_m_s=4", "scene.hidden_share=0.6")
+    future = [t for t in plan.tasks(1, 1, True, True) if t.words[0] in ends]
+    assert len(future) == 3
     for task in future:
         simulated(load_scenario(task.scenario, (f"seed={task.seed}", *task.words)))
 
