@@ -318,3 +318,17 @@ def test_an_autopilots_own_log_gives_what_lies_beside_it(flights, tmp_path, name
     assert_array_equal(got["arrival"], want["arrival"])
     assert_allclose(got["gyro"], want["gyro"], atol=5.1e-7)
     assert_allclose(got["accel"], want["accel"], atol=5.1e-6)
+
+
+def test_a_ulog_without_an_imu_says_what_it_has(flights, tmp_path):
+    from pyulog import ULog
+
+    with gzip.open(flights / "px4_flight" / "px4_flight.ulg.gz") as source:
+        (tmp_path / "whole.ulg").write_bytes(source.read())
+    ULog(str(tmp_path / "whole.ulg"), ["vehicle_attitude_groundtruth"]).write_ulog(
+        str(tmp_path / "part.ulg")
+    )
+    done = tagvio("convert", tmp_path / "part.ulg", "--out", tmp_path / "log")
+    assert done.code == 1
+    (line,) = done.err.splitlines()
+    assert "no sensor_combined in it; it has vehicle_attitude_groundtruth" in line
