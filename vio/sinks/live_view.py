@@ -24,7 +24,7 @@ from vio.errors import VioError
 from vio.health import Health
 
 LOG = logging.getLogger("vio.sinks.live")
-_FRAME_NS, _STATE_NS, _AGAIN_NS = 100_000_000, 20_000_000, 5_000_000_000
+_FRAME_NS, _STATE_NS, _AGAIN_NS = 100_000_000, 40_000_000, 5_000_000_000
 _FRAMES, _STATES, _WORDS = 3, 100, 200  # that may wait
 _TRAIL, _TRAIL_M = 600, 0.02
 _WAKE_S = 0.25
@@ -120,7 +120,7 @@ class LiveView:
             self._image = event
 
     def output(self, name: str, output: Output) -> None:
-        """Something new of an estimator: the filter's is shown, up to 50 a second."""
+        """Something new of an estimator: the filter's is shown, up to 25 a second."""
         if name != "vio" or 0 <= output.t_ns - self._state_ns < _STATE_NS:
             return
         self._state_ns = output.t_ns
