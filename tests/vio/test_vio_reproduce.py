@@ -11,12 +11,13 @@ from cli_calls import tagvio
 import vio.commands.reproduce as command
 from tagvo.errors import TagvoError
 from vio.errors import SimulationError, VioError
+from vio.records import Phase
 from vio.reproduce import plan, study
-from vio.reproduce.fly import fly
+from vio.reproduce.fly import fly, windows
 from vio.reproduce.orderings import orderings
 from vio.reproduce.printed import PaperTables
 from vio.reproduce.records import Judge, Scores, Task, pooled, scored
-from vio.reproduce.tables import document
+from vio.reproduce.tables import document, future_table
 from vio.sim.recording import simulated
 from vio.sim.scenario import load_scenario
 
@@ -227,3 +228,20 @@ def test_every_flight_of_the_plan_is_a_scenario():
     assert {("static", f"{v} {p}") for v in plan.VEHICLES for p in plan.PLACES} <= flown
     for name in ("flights", "calibrated", "nuisances"):
         assert {(name, f"{v} {f}") for v in plan.VEHICLES for f in plan.FLIGHTS} <= flown
+
+
+def test_curves_are_in_the_order_of_what_they_are_over():
+    """Flights end in any order."""
+    scores = Scores(
+        made("latency", case, "flight", "joint") for case in ("200 ms", "0 ms", "100 ms")
+    )
+    rows = future_table(scores, "latency").splitlines()[2:]
+    assert [row.split("|")[1].strip() for row in rows] == ["0 ms", "100 ms", "200 ms"]
+
+
+def test_phases_of_one_name_are_judged_together():
+    """A hover place is one phase a height; all of them are its figure."""
+    spans = [("XL", 0, 10), ("still", 10, 20), ("XL", 20, 30), ("Ld", 30, 40)]
+    found = windows([Phase(*span) for span in spans])
+    assert {name: [(w.t_start_ns, w.t_end_ns) for w in parts] for name, parts in found.items()} == {
+        "XL": [(0, 10), (20, 30)], "Ld": [(30, 40)], "flight": [(0, 40)]}  # fmt: skip

@@ -13,13 +13,14 @@ from vio.assets import config_path
 from vio.config import Config, load_config
 from vio.estimator import USUAL_NOISE
 from vio.estimator import Estimator as Filter
+from vio.evaluate.compare import VIEWS
 from vio.evaluate.metrics import capture_errors, now_errors
 from vio.evaluate.records import Trajectory, Window
 from vio.evaluate.truth import TruthTrack, clean_truth
 from vio.filter_arm import VioArm
 from vio.records import Ground, ImuSample, Phase
 from vio.reproduce.plan import WHOLE
-from vio.reproduce.records import Judge, Score, Task, scored
+from vio.reproduce.records import Judge, Score, Task, pooled, scored
 from vio.run import run, trajectory
 from vio.sim.pictures import frames
 from vio.sim.recording import Recording, simulated
@@ -59,8 +60,13 @@ def _judged(task: Task, judge: Judge, recording: Recording, seen: list[Frame]) -
         vo, estimator = _arm(arm, recording)
         result = run(events, vo, [estimator], Stopwatch())
         path = trajectory(estimator.name, result.outputs[estimator.name])
-        for phase, window in spans.items():
-            yield from _scores((judge.study, task.case, phase, arm), path, truth, window)
+        for phase, parts in spans.items():
+            names = (judge.study, task.case, phase, arm)
+            every = [s for window in parts for s in _scores(names, path, truth, window)]
+            for view in VIEWS:
+                whole = pooled((s for s in every if s.view == view), task.case, phase)
+                if whole is not None:
+                    yield whole
 
 
 def in_order(recording: Recording, seen: Iterable[Frame]) -> Iterator[ImuSample | Frame | Ground]:
@@ -72,13 +78,15 @@ def in_order(recording: Recording, seen: Iterable[Frame]) -> Iterator[ImuSample 
         yield imu.sample(i) if i < len(imu) else shown[i - len(imu)]
 
 
-def windows(phases: Iterable[Phase]) -> dict[str, Window]:
-    """The phases off the ground, and all of them together."""
+def windows(phases: Iterable[Phase]) -> dict[str, list[Window]]:
+    """The phases off the ground, those of one name together, and all of them as one."""
     aloft = [p for p in phases if p.name not in _ON_THE_GROUND]
-    out = {p.name: Window(p.t_start_ns, p.t_end_ns) for p in aloft}
+    out: dict[str, list[Window]] = {}
+    for p in aloft:
+        out.setdefault(p.name, []).append(Window(p.t_start_ns, p.t_end_ns))
     if aloft:
         first, last = min(p.t_start_ns for p in aloft), max(p.t_end_ns for p in aloft)
-        out[WHOLE] = Window(first, last)
+        out[WHOLE] = [Window(first, last)]
     return out
 
 

@@ -107,7 +107,8 @@ def live_tables(scores: Scores) -> Iterator[str]:
 
 def future_table(scores: Scores, study: str) -> str:
     """One curve of the paper's future work."""
-    cases = list(dict.fromkeys(s.case for s in scores.all if s.study == study))
+    there = {s.case for s in scores.all if s.study == study}
+    cases = sorted(there, key=lambda case: float(case.split()[0]))  # flown in no order
     arms = [
         ("NEW", "capture"),
         ("joint", "capture"),
