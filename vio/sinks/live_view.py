@@ -24,10 +24,11 @@ from vio.errors import VioError
 from vio.health import Health
 
 LOG = logging.getLogger("vio.sinks.live")
-_FRAME_NS, _STATE_NS, _AGAIN_NS = 100_000_000, 40_000_000, 5_000_000_000
+_FRAME_NS, _STATE_NS, _AGAIN_NS = 200_000_000, 50_000_000, 5_000_000_000
+_SCENE_NS = 200_000_000
 _FRAMES, _STATES, _WORDS = 3, 100, 200  # that may wait
-_TRAIL, _TRAIL_M = 600, 0.02
-_WAKE_S = 0.25
+_TRAIL, _TRAIL_M = 400, 0.03
+_WAKE_S = 0.05  # the thread looks by itself: to wake it at every sample would cost the flight
 _PATIENCE_S, _GOODBYE_S = 2.0, 0.3
 _LEVELS = ((logging.ERROR, "Error"), (logging.WARNING, "Warning"), (logging.INFO, "Info"))
 
@@ -98,7 +99,7 @@ class LiveView:
         self._words: deque[tuple[int, str, str]] = deque(maxlen=_WORDS)
         self._more = threading.Condition()
         self._image: Frame | None = None
-        self._frame_ns = self._state_ns = self._map_ns = -(1 << 62)
+        self._frame_ns = self._state_ns = self._map_ns = self._scene_ns = -(1 << 62)
         self._now_ns = 0
         self._trail: deque[Array] = deque(maxlen=_TRAIL)
         self._ending = False
@@ -120,14 +121,14 @@ class LiveView:
             self._image = event
 
     def output(self, name: str, output: Output) -> None:
-        """Something new of an estimator: the filter's is shown, up to 25 a second."""
+        """Something new of an estimator: the filter's is shown, up to 20 a second."""
         if name != "vio" or 0 <= output.t_ns - self._state_ns < _STATE_NS:
             return
         self._state_ns = output.t_ns
         self._put(self._states, output, _STATES, "states")
 
     def look(self, trace: Trace) -> None:
-        """A frame with its intermediates, up to ten a second."""
+        """A frame with its intermediates, up to five a second."""
         self._now_ns = trace.t_ns
         if not self._lossless and 0 <= trace.t_ns - self._frame_ns < _FRAME_NS:
             return
@@ -164,7 +165,6 @@ class LiveView:
         """A log message."""
         with self._more:
             self._words.append((self._now_ns, level, text))
-            self._more.notify()
 
     def _put(self, waiting: "deque[Any]", item: Any, limit: int, what: str) -> None:
         """Leave something for the thread; the oldest goes where too much waits."""
@@ -175,14 +175,16 @@ class LiveView:
                 waiting.popleft()
                 self.counters[f"live_{what}_dropped"] += 1
             waiting.append(item)
-            self._more.notify_all()
+            if self._lossless:
+                self._more.notify_all()
 
     # what the thread does
 
     def _work(self) -> None:
         while True:
             with self._more:
-                self._more.wait_for(self._something, _WAKE_S)
+                if not (self._ending or (self._lossless and self._something())):
+                    self._more.wait(_WAKE_S)
                 frames, states = list(self._frames), list(self._states)
                 words = list(self._words)
                 self._frames.clear()
@@ -200,7 +202,7 @@ class LiveView:
                     LOG.exception("the live view goes on after a fault")
 
     def _something(self) -> bool:
-        return bool(self._frames or self._states or self._words or self._ending)
+        return bool(self._frames or self._states or self._words)
 
     def _show(
         self, frames: list[_Seen], states: list[Output], words: list[tuple[int, str, str]]
@@ -242,8 +244,9 @@ class LiveView:
         body = make.Body(t_ns, state.p_WI, state.R_WI, state.v_WI, state.cov)
         if not self._trail or np.linalg.norm(state.p_WI - self._trail[-1]) > _TRAIL_M:
             self._trail.append(state.p_WI.copy())
-            if c.scene.has_sinks():
-                c.scene.log(make.body_scene(body, np.array(self._trail)), log_time=t_ns)
+        if not 0 <= t_ns - self._scene_ns < _SCENE_NS and c.scene.has_sinks():
+            self._scene_ns = t_ns
+            c.scene.log(make.body_scene(body, np.array(self._trail)), log_time=t_ns)
         c.transforms.log(make.transforms(body, self._camera), log_time=t_ns)
         c.state.log(_numbers(state), log_time=t_ns)
         self.counters["live_states"] += 1
