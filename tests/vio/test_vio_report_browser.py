@@ -19,7 +19,7 @@ PROBE = """<script>setTimeout(() => {
   document.body.insertAdjacentHTML("beforeend",
     `<pre>PROBE ${innerWidth} ${document.documentElement.scrollWidth} ${plots.length} ${drawn}`
     + ` ${wide.length} END</pre>`);
-}, 4000)</script></body>"""
+}, 2500)</script></body>"""
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def report(tmp_path_factory):
 def browse(page, width, *words):
     """What the console said, and what the page is in the end."""
     call = [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
-            "--hide-scrollbars", "--virtual-time-budget=12000", f"--window-size={width},2400",
+            "--hide-scrollbars", "--virtual-time-budget=8000", f"--window-size={width},2400",
             *words, page.as_uri()]  # fmt: skip
     done = subprocess.run(call, capture_output=True, text=True, timeout=120, check=False)
     console = [line for line in done.stderr.splitlines() if "CONSOLE" in line]

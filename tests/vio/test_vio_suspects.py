@@ -17,7 +17,7 @@ from vio.evaluate.sightings import Sightings
 SHORT = ("stream.rate_hz=5",)
 
 
-@pytest.fixture(scope="module", params=[3, 4])
+@pytest.fixture(scope="module", params=[3])
 def flown(request):
     return flight(request.param, "t1_qr", SHORT)
 

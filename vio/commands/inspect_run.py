@@ -85,8 +85,8 @@ def _worst(judged: Sequence[Judged], book: "SightingBook", log: FlightLog) -> "l
             f" {1e3 * size[row]:.0f} mm, {error:.2f} deg; {what if abs(away) > _NEAR_NS else ''}"
             f"{len(kept.seen)} tags, {int(kept.rejected.sum())} rejected"
         )
-        jpeg = picture(image, kept.seen, kept.rejected, log.camera.resolution)
-        out.append(Picture(caption, jpeg))
+        drawn = picture(image, kept.seen, kept.rejected, log.camera.resolution)
+        out.append(Picture(caption, *drawn))
     return out
 
 

@@ -49,9 +49,6 @@ def command(
     DIR/flown: the same call goes on where it was stopped, by Ctrl-C too. Without --quick it takes
     about four times as long.
     """
-    from tagvo.textfile import write_atomic
-    from vio.evaluate.compare import write_json
-    from vio.evaluate.page import page_of_markdown
     from vio.reproduce.orderings import orderings
     from vio.reproduce.plan import tasks
     from vio.reproduce.records import Scores
@@ -69,14 +66,22 @@ def command(
     every = Scores(s for scores in found for s in scores)
     claims = orderings(every)
     head = _head(seed, seeds, quick, corners, len(found), len(todo))
-    text = document(every, claims, head)
-    write_atomic(out / "reproduce.md", text)
-    write_atomic(out / "report.html", page_of_markdown("tagvio reproduce", text))
-    write_json(out / "reproduce.json", _content(every, claims, head))
+    _write(out, document(every, claims, head), _content(every, claims, head))
     _say(claims, interrupted, len(found), len(todo))
-    typer.echo(f"{out / 'reproduce.md'}, {out / 'reproduce.json'}, {out / 'report.html'}")
     if interrupted:
         raise typer.Exit(130)
+
+
+def _write(out: Path, text: str, content: dict[str, Any]) -> None:
+    """All tables as Markdown and as a page, all figures as JSON."""
+    from tagvo.textfile import write_atomic
+    from vio.evaluate.compare import write_json
+    from vio.evaluate.page import page_of_markdown
+
+    write_atomic(out / "reproduce.md", text)
+    write_atomic(out / "report.html", page_of_markdown("tagvio reproduce", text))
+    write_json(out / "reproduce.json", content)
+    typer.echo(f"{out / 'reproduce.md'}, {out / 'reproduce.json'}, {out / 'report.html'}")
 
 
 def _warm() -> None:

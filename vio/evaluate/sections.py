@@ -33,10 +33,11 @@ _BLACKOUT_NS = 500_000_000
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A moment: what it shows in words, and a JPEG."""
+    """A moment: what it shows in words, a JPEG, and its width and height."""
 
     caption: str
     jpeg: bytes
+    size: tuple[int, int]
 
 
 def breakdown_html(evaluation: Mapping[str, Any]) -> str:
@@ -130,8 +131,9 @@ def moments_html(moments: Sequence[Picture]) -> str:
         return ""
     shown = "".join(
         f"<figure><figcaption>{html.escape(m.caption)}</figcaption>"
-        f'<img alt="{html.escape(m.caption)}" style="max-width:100%"'
-        f' src="data:image/jpeg;base64,{base64.b64encode(m.jpeg).decode()}"></figure>'
+        f'<svg role="img" aria-label="{html.escape(m.caption)}" style="width:100%"'
+        f' viewBox="0 0 {m.size[0]} {m.size[1]}"><image width="{m.size[0]}" height="{m.size[1]}"'
+        f' href="data:image/jpeg;base64,{base64.b64encode(m.jpeg).decode()}"/></svg></figure>'
         for m in moments
     )
     return (

@@ -14,8 +14,8 @@ _QUALITY = 75
 
 def picture(
     image: Image | None, seen: Observations, rejected: BoolArray, resolution: tuple[int, int]
-) -> bytes:
-    """A JPEG of the image (grey where there is none) with the outlines and ids of its tags."""
+) -> tuple[bytes, tuple[int, int]]:
+    """A JPEG of the image (grey where there is none) with its tags outlined, and its size."""
     if image is None:
         image = np.full(resolution[::-1], 128, dtype=np.uint8)
     shown = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR) if image.ndim == 2 else image.copy()
@@ -34,7 +34,7 @@ def picture(
             cv2.putText(shown, text, middle, cv2.FONT_HERSHEY_SIMPLEX, 0.4, tint, width,
                         cv2.LINE_AA)  # fmt: skip
     done, data = cv2.imencode(".jpg", shown, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
-    return data.tobytes() if done else b""
+    return (data.tobytes() if done else b""), (shown.shape[1], shown.shape[0])
 
 
 def _at(point: "np.ndarray[tuple[int, ...], np.dtype[np.int32]]") -> tuple[int, int]:
