@@ -77,6 +77,15 @@ class Trace:
     pose: PoseMeasurement | None = None
     reason: str | None = None
 
+    def rejected(self, reject_weight: float) -> BoolArray:
+        """Which of the n tags the joint pose gave less than this weight; none where it is not had.
+
+        (n,); raises nothing.
+        """
+        if self.joint is None:
+            return np.zeros(len(self.observations), dtype=bool)
+        return np.asarray(self.joint.weight < reject_weight)
+
 
 def _no_lap(stage: str) -> None:
     return None

@@ -8,6 +8,7 @@ from tagvo.detect.edges import Gray
 from tagvo.detect.protocol import gray_image, no_detections
 from tagvo.errors import DetectorError
 from tagvo.families import FAMILIES, Family
+from tagvo.geometry import Array
 from tagvo.records import Detections
 
 _UPRIGHT = [3, 2, 1, 0]  # the library's order is BL, BR, TR, TL
@@ -76,10 +77,15 @@ class AprilTagDetector:
         corners = np.array([tag["lb-rb-rt-lt"] for tag in found], dtype=float)
         return Detections.of(
             np.array([tag["id"] for tag in found]),
-            corners[:, _UPRIGHT] - _PIXEL_CENTRE,
+            upright(corners),
             np.array([tag["hamming"] for tag in found]),
             np.array([tag["margin"] for tag in found]),
         )
+
+
+def upright(corners_px: Array) -> Array:
+    """The library's corners (n, 4, 2) [px] as ours: from the upper left, pixel centres whole."""
+    return np.asarray(corners_px[:, _UPRIGHT] - _PIXEL_CENTRE)
 
 
 def _library() -> Any:

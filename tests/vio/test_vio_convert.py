@@ -198,6 +198,15 @@ def test_a_video_with_csv_files_is_a_log(rendered, tmp_path):
     assert f"2 stamps, {tmp_path / 'a.avi'} has {len(frames)} frames" in done.err
 
 
+def test_a_log_is_never_converted_over_itself(rendered, tmp_path):
+    log = shutil.copytree(rendered, tmp_path / "log")
+    before = sorted(p.relative_to(log) for p in log.rglob("*"))
+    done = tagvio("convert", log, "--out", tmp_path / "." / "log", "--replace")
+    assert done.code == 1
+    assert "is what is to be converted" in done.err
+    assert sorted(p.relative_to(log) for p in log.rglob("*")) == before
+
+
 def test_what_is_no_log_is_said_in_one_line(tmp_path):
     junk = np.random.default_rng(1).integers(0, 256, 5000, dtype=np.uint8).tobytes()
     for name in ("x.bin", "x.ulg", "x.tlog", "x.bag", "x.mcap", "x.db3", "x.mp4", "x.txt", "x.gz"):

@@ -9,7 +9,7 @@ from vio.commands import options as opt
 
 if TYPE_CHECKING:
     from vio.commands.replay_log import Replayed
-    from vio.evaluate.records import Trajectory, Window
+    from vio.evaluate.records import Window
     from vio.sources.log import FlightLog
 
 Align = Literal["none", "yaw", "se3"]
@@ -69,46 +69,31 @@ def judge(
 
     from vio.commands.inspect_run import inspected
     from vio.commands.replay_log import frame_counts, run_summary
-    from vio.evaluate.compare import comparison, table, write_json
+    from vio.evaluate.compare import comparison_of, table, write_json
+    from vio.evaluate.compare import judge as judge_one
+    from vio.evaluate.pngs import write_pngs
     from vio.evaluate.report import write_report
+    from vio.evaluate.truth import clean_truth
     from vio.run import trajectory, tum_rows
     from vio.sinks.tum import write_tum
 
     log, result = done.log, done.result
     assert log.truth is not None
     trajectories = [trajectory(name, outputs) for name, outputs in result.outputs.items()]
-    window = _window(log, skip)
-    content = comparison(
-        trajectories, log.truth, align=align,
-        t_start_ns=window.t_start_ns, t_end_ns=window.t_end_ns,
-        frames=frame_counts(done), timing_ms=done.timing_ms,
-    )  # fmt: skip
+    window, truth = _window(log, skip), clean_truth(log.truth)
+    judged = [judge_one(t, truth, align, window) for t in trajectories]
+    content = comparison_of(judged, align, frame_counts(done), done.timing_ms)
     for one in trajectories:
         write_tum(out / f"{one.name}.tum", *tum_rows(one))
     write_json(out / "comparison.json", content)
     write_json(out / "run.json", run_summary(done))
-    extra, said = inspected(done, trajectories, window, align, title)
+    extra, said = inspected(done, judged, truth, window, title)
     write_json(out / "evaluation.json", extra.evaluation)
     write_report(out / "report.html", content, trajectories, log.truth, log.tag_map, extra)
     if png:
-        _draw(done, trajectories, window, align, out)
+        write_pngs(out, judged, truth, log.tag_map, log.t0_ns)
     for text in [*done.warnings, *said]:
         typer.echo(f"warning: {text}", err=True)
     Console().print(table(content))
     typer.echo(f"{out / 'comparison.json'}, {out / 'report.html'}")
     return content
-
-
-def _draw(
-    done: "Replayed", trajectories: "list[Trajectory]", window: "Window", align: Align, out: Path
-) -> None:
-    """The main plots as files."""
-    from vio.evaluate.compare import judge as judge_one
-    from vio.evaluate.pngs import write_pngs
-    from vio.evaluate.truth import clean_truth
-
-    log = done.log
-    assert log.truth is not None
-    truth = clean_truth(log.truth)
-    judged = [judge_one(t, truth, align, window) for t in trajectories]
-    write_pngs(out, judged, truth, log.tag_map, log.t0_ns)

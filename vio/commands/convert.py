@@ -48,7 +48,6 @@ Stamps = Annotated[
 Shift = Annotated[
     str, typer.Option("--shift", metavar="X,Y,Z", help="Added to the truth's positions [m].")
 ]
-Replace = Annotated[bool, typer.Option("--replace", help="Replace a log that stands at --out.")]
 
 
 def command(
@@ -62,7 +61,7 @@ def command(
     truth_csv: TruthCsv = None,
     stamps: Stamps = None,
     shift: Shift = "0,0,0",
-    replace: Replace = False,
+    replace: opt.ReplaceLog = False,
 ) -> None:
     """Convert the log of another system to a flight log for `tagvio run` and `compare`.
 
@@ -83,10 +82,13 @@ def command(
     tagvio convert log --out log.mcap
     """
     from vio.commands.convert_write import write_bag, write_flight_log, write_truth
+    from vio.errors import LogError
     from vio.sources.foreign.open import read_foreign, shifted, together
     from vio.sources.tally import Tally
 
     moved, named = _numbers(shift), _topics(topic or [])
+    if any(out.resolve() == path.resolve() for path in files):
+        raise LogError(f"--out {out}: is what is to be converted; another name is needed")
     kind = out.suffix.lower() if out.suffix.lower() in (".mcap", ".tum") else ""
     tally = Tally()
     with opt.waiting("reading"):

@@ -8,12 +8,12 @@ import numpy as np
 from tagvo.geometry import IntArray
 from vio.commands.replay_log import Replayed
 from vio.evaluate.breakdown import breakdown, up_of
-from vio.evaluate.compare import Judged, judge
-from vio.evaluate.records import Trajectory, Window
+from vio.evaluate.compare import Judged
+from vio.evaluate.records import Window
 from vio.evaluate.report import Extra
 from vio.evaluate.sections import Picture, suspect_lines
 from vio.evaluate.suspects import Judgement, judge_tags
-from vio.evaluate.truth import clean_truth
+from vio.evaluate.truth import TruthTrack
 from vio.sinks.moments import picture
 from vio.sources.log import FlightLog
 
@@ -25,13 +25,10 @@ _NEAR_NS = 300_000_000
 
 
 def inspected(
-    done: Replayed, trajectories: Sequence[Trajectory], window: Window, align: str, title: str
+    done: Replayed, judged: Sequence[Judged], truth: TruthTrack, window: Window, title: str
 ) -> tuple[Extra, list[str]]:
     """What the report shows of a run, and what of it is a warning."""
     log, result = done.log, done.result
-    assert log.truth is not None
-    truth = clean_truth(log.truth)
-    judged = [judge(t, truth, align, window) for t in trajectories]
     counts = np.array(result.tags_t_ns, dtype=np.int64), np.array(result.tags_count, dtype=np.int64)
     gravity = None if log.tag_map.gravity is None else log.tag_map.gravity.dir
     evaluation = breakdown(judged, truth, log.phases, window, up_of(gravity), counts)
@@ -40,7 +37,7 @@ def inspected(
     suspects = [] if tags is None else suspect_lines(tags, log.tag_map)
     extra = Extra(
         title, window, t_zero_ns=log.t0_ns, tags_t_ns=counts[0], tags_count=counts[1],
-        notes=(*done.warnings, *suspects),
+        notes=(*done.warnings, *suspects), judged=tuple(judged),
         evaluation={"estimators": evaluation, "suspect_tags": _listed(tags, log)},
         diary=None if done.diary is None else done.diary.diary(),
         sightings=seen, tags=tags,
@@ -65,8 +62,9 @@ def _listed(tags: Judgement | None, log: FlightLog) -> list[dict[str, Any]] | No
 
 def _worst(judged: Sequence[Judged], book: "SightingBook", log: FlightLog) -> "list[Picture]":
     """The moments of the largest live position errors of `vio` (else of the first), with images."""
-    one = next((j for j in judged if j.trajectory.name == "vio"), judged[0] if judged else None)
-    if one is None or not len(one.now):
+    said = [j for j in judged if len(j.now)]
+    one = next((j for j in said if j.trajectory.name == "vio"), said[0] if said else None)
+    if one is None:
         return []
     size = np.linalg.norm(one.now.p_W, axis=-1)
     out = []

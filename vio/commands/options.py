@@ -52,6 +52,9 @@ Latency = Annotated[
 ]
 
 
+ReplaceLog = Annotated[bool, typer.Option("--replace", help="Replace a log that stands at --out.")]
+
+
 @dataclass(frozen=True, slots=True)
 class Choice:
     """The options of one call, as typed."""

@@ -82,7 +82,7 @@ def replay_log(
     ask = (tracks or config.tagvo.ambiguity == "prior") and vio is not None
     prior = vio.prior if ask and vio else _no_prior
     book, diary, look = _inspectors(log, config, vio) if inspect else (None, None, _no_look)
-    shown = _view(log, vio, view)
+    shown = _view(log, config, vio, view)
     looks = look if shown is None else _both(look, shown.look)
     sinks = [] if shown is None else [shown]
     try:
@@ -101,14 +101,17 @@ def _no_look(trace: "Trace") -> None:
 
 
 def _view(
-    log: FlightLog, vio: VioArm | None, view: "tuple[int | None, Path | None]"
+    log: FlightLog, config: Config, vio: VioArm | None, view: "tuple[int | None, Path | None]"
 ) -> "LiveView | None":
     port, mcap = view
     if port is None and mcap is None:
         return None
     from vio.sinks.live_view import LiveView
 
-    shown = LiveView(log.tag_map, log.camera, port=port, mcap=mcap, arm=vio, lossless=True)
+    shown = LiveView(
+        log.tag_map, log.camera, port=port, mcap=mcap, arm=vio,
+        reject_weight=config.tagvo.joint.reject_weight, lossless=True,
+    )  # fmt: skip
     if shown.port is not None:
         LOG.warning("live view: ws://127.0.0.1:%d, in Foxglove or any viewer of its", shown.port)
     return shown

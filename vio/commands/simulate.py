@@ -41,7 +41,6 @@ Corners = Annotated[
 Workers = Annotated[
     int, typer.Option("--workers", metavar="N", min=1, max=64, help="Images drawn at a time.")
 ]
-Replace = Annotated[bool, typer.Option("--replace", help="Replace a log that stands at --out.")]
 
 
 def command(
@@ -52,7 +51,7 @@ def command(
     imu: Imu = "imu0",
     corners: Corners = False,
     workers: Workers = 2,
-    replace: Replace = False,
+    replace: opt.ReplaceLog = False,
 ) -> None:
     """Simulate a flight and write it as a flight log, for `tagvio run` and `tagvio compare`.
 

@@ -95,10 +95,20 @@ def comparison(
     """The content of `comparison.json`; an estimator that is not given is missing in it."""
     window = Window(t_start_ns, t_end_ns)
     track = clean_truth(truth)
-    estimators = {t.name: both_views(judge(t, track, align, window, axis_W)) for t in trajectories}
+    judged = [judge(t, track, align, window, axis_W) for t in trajectories]
+    return comparison_of(judged, align, frames, timing_ms)
+
+
+def comparison_of(
+    judged: Sequence[Judged],
+    align: str,
+    frames: Mapping[str, int | None],
+    timing_ms: Mapping[str, Mapping[str, float]],
+) -> dict[str, Any]:
+    """The same of estimators that are judged already."""
     whole = {
         "align": align,
-        "estimators": estimators,
+        "estimators": {one.trajectory.name: both_views(one) for one in judged},
         "frames": dict(frames),
         "timing_ms": {stage: dict(times) for stage, times in timing_ms.items()},
     }

@@ -32,8 +32,9 @@ class Extra:
 
     window and axis_W: as given to `comparison`; t_zero_ns: where the time axis starts (None: at
     truth's first row); tags_t_ns, tags_count (m,): tags used in each frame; notes: lines of text;
-    evaluation: of `breakdown`; diary: what the filter believed; sightings, tags: what was seen of
-    the map, and where its tags were found; moments: the worst, with their images.
+    judged: the trajectories' errors, where they are known already; evaluation: of `breakdown`;
+    diary: what the filter believed; sightings, tags: what was seen of the map, and where its tags
+    were found; moments: the worst, with their images.
     """
 
     title: str = "tagvio compare"
@@ -43,6 +44,7 @@ class Extra:
     tags_t_ns: IntArray | None = None
     tags_count: IntArray | None = None
     notes: tuple[str, ...] = ()
+    judged: tuple[Judged, ...] = ()
     evaluation: Mapping[str, Any] = field(default_factory=dict)
     diary: Diary | None = None
     sightings: Sightings | None = None
@@ -76,7 +78,9 @@ def write_report(
     extra = extra or Extra()
     track = clean_truth(truth)
     align = content["align"]
-    judged = tuple(judge(t, track, align, extra.window, extra.axis_W) for t in trajectories)
+    judged = extra.judged or tuple(
+        judge(t, track, align, extra.window, extra.axis_W) for t in trajectories
+    )
     zero = int(track.t_ns[0]) if extra.t_zero_ns is None else extra.t_zero_ns
     material = Material(content, judged, track, tag_map, extra, zero)
     body = "\n".join(part for part in (section(material) for section in SECTIONS) if part)

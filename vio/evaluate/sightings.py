@@ -68,10 +68,8 @@ class SightingBook:
         if pose is None:
             return
         self._seen.update(seen.tag_id.tolist())
-        out = np.zeros(len(seen), dtype=bool)
-        if trace.joint is not None:
-            out = trace.joint.weight < self._reject
-            self._rejected.update(seen.tag_id[out].tolist())
+        out = trace.rejected(self._reject)
+        self._rejected.update(seen.tag_id[out].tolist())
         if self._kept and 0 <= trace.t_ns - self._kept[-1].t_ns < self._every_ns:
             return
         self._kept.append(Kept(trace.t_ns, pose.R_WC, pose.p_WC, seen, out))

@@ -16,6 +16,7 @@ import numpy as np
 
 from tagvo.camera import Camera
 from tagvo.geometry import Array, BoolArray
+from tagvo.joint import JointConfig
 from tagvo.pipeline import Trace
 from tagvo.records import Frame, Observations
 from tagvo.tagmap import TagMap
@@ -61,12 +62,14 @@ class LiveView:
         host: str = "127.0.0.1",
         mcap: Path | None = None,
         arm: Any = None,
+        reject_weight: float = JointConfig().reject_weight,
         lossless: bool = False,
         epoch_ns: int = 0,
     ) -> None:
         """port: of the server, 0: any free one, None: no server; mcap: a file not there yet.
 
-        arm: the filter's (`VioArm`), asked for its prior and health; lossless: let a run wait for
+        arm: the filter's (`VioArm`), asked for its prior and health; reject_weight: below it the
+        joint pose has rejected a tag (tagvo.joint.reject_weight); lossless: let a run wait for
         the file rather than drop; epoch_ns: added to stamps to make them times of day. VioError
         where the port is in use, the file is there or foxglove-sdk is not installed.
         """
@@ -75,7 +78,7 @@ class LiveView:
         except ImportError:
             raise VioError("the live view needs foxglove-sdk: pip install 'tagvio[live]'") from None
         self._map, self._camera, self._arm = tag_map, camera, arm
-        self._epoch_ns, self._lossless = epoch_ns, lossless
+        self._epoch_ns, self._lossless, self._reject = epoch_ns, lossless, reject_weight
         self.counters: Counter[str] = Counter()
         self._context = foxglove.Context()
         self._server = self._file = None
@@ -133,9 +136,7 @@ class LiveView:
         if not self._lossless and 0 <= trace.t_ns - self._frame_ns < _FRAME_NS:
             return
         self._frame_ns = trace.t_ns
-        rejected = np.zeros(len(trace.observations), dtype=bool)
-        if trace.joint is not None:
-            rejected = trace.joint.weight < 0.25
+        rejected = trace.rejected(self._reject)
         prior = None if self._arm is None else self._arm.prior(trace.t_ns)
         where = None if prior is None else (prior.R_WC, prior.p_WC)
         health = None if self._arm is None else self._arm.estimator.health()

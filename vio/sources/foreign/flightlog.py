@@ -1,10 +1,12 @@
 """A flight log of our own, or any EuRoC folder, in the same terms as other people's logs."""
 
-from dataclasses import replace
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from tagvo.camera import Camera
 from tagvo.camera_io import load_camera
+from tagvo.records import Frame
 from vio.errors import LogError
 from vio.sources.companion import read_imu_of
 from vio.sources.foreign.records import Foreign, FrameReel
@@ -25,20 +27,21 @@ def read_flight_log(path: Path, tally: Tally) -> Foreign:
     source = None if camera is None else _frames(path, camera, tally)
     if not imus and source is None:
         raise LogError(f"{path}: no log that we know: no mav0 with an IMU or a camera's frames")
-    reel = None
-    if source is not None:
-        frames = source
-        rows = range(len(frames))
-        reel = FrameReel(
-            len(frames), lambda: (f for f in (frames.frame(i) for i in rows) if f is not None)
-        )
+    reel = None if source is None else FrameReel(len(source), partial(_readable, source))
     return Foreign(imus, truth=truth, camera=camera, frames=reel)
+
+
+def _readable(source: FrameSource) -> Iterator[Frame]:
+    for row in range(len(source)):
+        frame = source.frame(row)
+        if frame is not None:
+            yield frame
 
 
 def _camera(path: Path) -> Camera | None:
     files = [path / "camchain-imucam.yaml", path / "mav0/cam0/sensor.yaml"]
     file = next((p for p in files if p.exists()), None)
-    return None if file is None else replace(load_camera(file), source=str(file))
+    return None if file is None else load_camera(file)
 
 
 def _frames(path: Path, camera: Camera, tally: Tally) -> FrameSource | None:

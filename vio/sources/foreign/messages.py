@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from tagvo import geometry as geo
+from tagvo.detect.apriltag import upright
 from tagvo.geometry import Array
 from tagvo.records import Detections
 from vio.sources.foreign.topics import ODOMETRY, POSE, TRANSFORM
@@ -17,8 +18,6 @@ APRILTAG_MSGS = {  # no ROS's own type store has them
     "apriltag_msgs/msg/AprilTagDetectionArray": "std_msgs/Header header\n"
     "apriltag_msgs/AprilTagDetection[] detections\n",
 }
-_UPRIGHT = [3, 2, 1, 0]  # the AprilTag library's corners run from the lower left, the other way
-_PIXEL_CENTRE = 0.5  # where it puts the centre of the first pixel
 Pose = tuple[Array, Array, Array]
 
 
@@ -51,7 +50,7 @@ def tags_of(message: Any) -> Detections:
     """The tags of an apriltag_msgs array, whose corners are the AprilTag library's own."""
     found = message.detections
     corners = np.array([[(c.x, c.y) for c in tag.corners] for tag in found], dtype=float)
-    corners = corners.reshape(-1, 4, 2)[:, _UPRIGHT] - _PIXEL_CENTRE
+    corners = upright(corners.reshape(-1, 4, 2))
     return Detections.of(
         np.array([tag.id for tag in found], dtype=np.int64),
         corners,

@@ -88,9 +88,9 @@ def together(parts: Sequence[tuple[Path, Foreign]]) -> Foreign:
         whole = Foreign(
             {**whole.imus, **part.imus},
             {**whole.noted_ns, **part.noted_ns},
-            part.truth or whole.truth,
-            part.camera or whole.camera,
-            part.frames or whole.frames,
+            whole.truth if part.truth is None else part.truth,
+            whole.camera if part.camera is None else part.camera,
+            whole.frames if part.frames is None else part.frames,
             whole.notes + part.notes,
         )
     return whole
