@@ -56,7 +56,7 @@ def _effective(stamp: int, x: Array) -> int:
 
 @njit
 def _rate_span(q: Array) -> float:
-    """Over how long to take the mean of the gyro [ns], by its noise."""
+    """Over how long to take the mean of the gyro [ns], by its noise in q (NOISE,)."""
     return float(min(max(1e9 * q[at.N_GYRO] / _RATE_RAD_S**2, _RATE_NS[0]), _RATE_NS[1]))
 
 

@@ -88,6 +88,11 @@ def upright(corners_px: Array) -> Array:
     return np.asarray(corners_px[:, _UPRIGHT] - _PIXEL_CENTRE)
 
 
+def as_library(corners_px: Array) -> Array:
+    """Our corners (n, 4, 2) [px] as the library has them: the inverse of `upright`."""
+    return np.asarray(corners_px[:, _UPRIGHT] + _PIXEL_CENTRE)
+
+
 def _library() -> Any:
     """The class `apriltag.apriltag`; DetectorError says what to install."""
     try:

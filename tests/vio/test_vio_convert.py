@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli_calls import tagvio
+from flying_log import write_flying_log
 from numpy.testing import assert_allclose, assert_array_equal
 from test_vio_simulate import MORE
 
@@ -77,6 +78,21 @@ def test_our_own_mcap_comes_back_as_it_went(rendered, flown, tmp_path):
     again = tagvio("convert", tmp_path / "a.mcap", "--out", tmp_path / "truth.tum")
     assert again.code == 0
     assert len((tmp_path / "truth.tum").read_text().splitlines()) == len(truth)
+
+
+def test_tags_go_into_an_mcap_and_come_back(tmp_path):
+    log = write_flying_log(tmp_path, seconds=3.0)
+    assert tagvio("convert", log, "--out", tmp_path / "a.mcap").code == 0
+    back = tagvio("convert", tmp_path / "a.mcap", "--out", tmp_path / "back", "--map",
+                  log / "tagmap.yaml", "--camera", log / "camchain-imucam.yaml")  # fmt: skip
+    assert back.code == 0, back.err
+    there, again = (FlightLog.open(p, use_detections=True) for p in (log, tmp_path / "back"))
+    assert_array_equal(again.frames.t_ns, there.frames.t_ns)
+    assert_array_equal(again.frames.arrival_ns, there.frames.arrival_ns)
+    for k in (0, 7, 20):
+        a, b = (f.frames.frame(k).detections for f in (there, again))
+        assert_array_equal(a.tag_id, b.tag_id)
+        assert_allclose(a.corners_px, b.corners_px, atol=1e-9)
 
 
 def test_a_broken_bag_is_read_as_far_as_it_goes(rendered, tmp_path):

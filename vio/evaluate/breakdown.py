@@ -101,17 +101,17 @@ def drift(one: Judged, truth: TruthTrack, window: Window) -> dict[str, Figures]:
     order = order[window.holds(track.t_ns[order])]
     at = interpolate(truth, track.t_ns[order])
     rows = order[at.known]
-    p, R, t_ns = track.p_WI[rows], track.R_WI[rows], track.t_ns[rows]
-    p_true, R_true = at.p_WI[at.known], at.R_WI[at.known]
+    p_WI, R_WI, t_ns = track.p_WI[rows], track.R_WI[rows], track.t_ns[rows]
+    p_WI_true, R_WI_true = at.p_WI[at.known], at.R_WI[at.known]
     ways: list[tuple[str, Callable[[], IntArray]]] = [
         *((f"{s:g} s", lambda s=s: pairs_in_time(t_ns, s)) for s in _DRIFT_S),
-        *((f"{m:g} m", lambda m=m: pairs_along_way(p_true, m)) for m in _DRIFT_M),
+        *((f"{m:g} m", lambda m=m: pairs_along_way(p_WI_true, m)) for m in _DRIFT_M),
     ]
     out: dict[str, Figures] = {}
     for name, find in ways:
         pairs = find() if len(rows) else np.zeros((0, 2), dtype=np.int64)
         if len(pairs):
-            moved, turned = relative_errors(p, R, p_true, R_true, pairs)
+            moved, turned = relative_errors(p_WI, R_WI, p_WI_true, R_WI_true, pairs)
             out[name] = {
                 "position_rmse_m": float(np.sqrt(np.mean(moved**2))),
                 "rotation_rmse_deg": float(np.degrees(np.sqrt(np.mean(turned**2)))),

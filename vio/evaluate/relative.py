@@ -9,23 +9,24 @@ from tagvo.geometry import Array, IntArray
 
 
 def relative_errors(
-    p: Array, R: Array, p_true: Array, R_true: Array, pairs: IntArray
+    p_WI: Array, R_WI: Array, p_WI_true: Array, R_WI_true: Array, pairs: IntArray
 ) -> tuple[Array, Array]:
     """Translation [m] and rotation [rad] error of the motion over each pair of rows; (k,), (k,).
 
-    p, p_true (n, 3); R, R_true (n, 3, 3); pairs (k, 2). As evo's RPE: the motion of the estimate
-    seen from where the true motion leads.
+    p_WI, p_WI_true (n, 3) [m]; R_WI, R_WI_true (n, 3, 3); pairs (k, 2) rows. As evo's RPE: the
+    motion of the estimate seen from where the true motion leads.
     """
     i, j = pairs[:, 0], pairs[:, 1]
-    moved, true = (_motion(q, S, i, j) for q, S in ((p, R), (p_true, R_true)))
+    moved, true = _motion(p_WI, R_WI, i, j), _motion(p_WI_true, R_WI_true, i, j)
     turn = np.swapaxes(true[0], -1, -2)
     gap = np.einsum("kij,kj->ki", turn, moved[1] - true[1])
     return np.linalg.norm(gap, axis=-1), geo.angle(turn @ moved[0])
 
 
-def _motion(p: Array, R: Array, i: IntArray, j: IntArray) -> tuple[Array, Array]:
-    back = np.swapaxes(R[i], -1, -2)
-    return back @ R[j], np.einsum("kij,kj->ki", back, p[j] - p[i])
+def _motion(p_WI: Array, R_WI: Array, i: IntArray, j: IntArray) -> tuple[Array, Array]:
+    """I at row j in I at row i: R (k, 3, 3), p (k, 3) [m]."""
+    R_IW = np.swapaxes(R_WI[i], -1, -2)
+    return R_IW @ R_WI[j], np.einsum("kij,kj->ki", R_IW, p_WI[j] - p_WI[i])
 
 
 def pairs_in_time(t_ns: IntArray, seconds: float, slack: float = 0.1) -> IntArray:
@@ -38,9 +39,9 @@ def pairs_in_time(t_ns: IntArray, seconds: float, slack: float = 0.1) -> IntArra
     return np.stack([rows, later[rows]], axis=-1)
 
 
-def pairs_along_way(p_true: Array, metres: float) -> IntArray:
-    """Rows one after another, each the first that is `metres` of way beyond the one before."""
-    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(p_true, axis=0), axis=-1)))
+def pairs_along_way(p_WI: Array, metres: float) -> IntArray:
+    """Rows (k, 2) of p_WI (n, 3) [m], each the first `metres` of way beyond the one before."""
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(p_WI, axis=0), axis=-1)))
     rows, last = [0], 0.0
     while (row := int(np.searchsorted(way, last + metres))) < len(way):
         rows.append(row)

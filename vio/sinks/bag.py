@@ -7,9 +7,12 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.camera import Camera
-from tagvo.records import Frame
+from tagvo.detect.apriltag import as_library
+from tagvo.geometry import Array
+from tagvo.records import Detections, Frame
 from vio.errors import LogError, VioError
 from vio.records import ImuSample, Truth
+from vio.sources.foreign.messages import APRILTAG_MSGS
 
 MAP, BODY, CAMERA = "map", "imu0", "cam0"
 _MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bob"}
@@ -17,17 +20,19 @@ _MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_b
 
 class BagWriter:
     """Owns a ROS 2 bag that is being written; topics: /imu0, /cam0/image_raw, /cam0/camera_info,
-    /truth (Odometry). Messages are recorded at their arrival.
+    /tags (apriltag_msgs), /truth (Odometry). Messages are recorded at their arrival.
     """
 
     def __init__(self, path: Path) -> None:
         """path: a folder that is not there yet; LogError where it is."""
         try:
             from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
-            from rosbags.typesys import Stores, get_typestore
+            from rosbags.typesys import Stores, get_types_from_msg, get_typestore
         except ImportError:
             raise VioError("bags need rosbags: pip install 'tagvio[logs]'") from None
         self._store = get_typestore(Stores.ROS2_HUMBLE)
+        for name, text in APRILTAG_MSGS.items():
+            self._store.register(get_types_from_msg(text, name))
         try:
             self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
@@ -79,8 +84,10 @@ class BagWriter:
         self._write("/truth", message, t_ns)
 
     def frame(self, frame: Frame, camera: Camera | None) -> None:
-        """An image and, where the camera is known, its calibration; a frame without one: nothing"""
+        """An image with the camera's calibration, where that is known; tags, where it has some."""
         known_ns = frame.t_ns if frame.arrival_ns is None else frame.arrival_ns
+        if frame.detections is not None:
+            self._write("/tags", self._tags(frame.t_ns, frame.detections), known_ns)
         if frame.image is None:
             return
         height, width = frame.image.shape[:2]
@@ -93,6 +100,26 @@ class BagWriter:
         self._write("/cam0/image_raw", message, known_ns)
         if camera is not None:
             self._write("/cam0/camera_info", self._calibration(camera, frame.t_ns), known_ns)
+
+    def _tags(self, t_ns: int, found: Detections) -> Any:
+        """An apriltag_msgs array: the AprilTag library's corners; a corner's sigma is lost."""
+        tags = []
+        for i, corners in enumerate(as_library(found.corners_px)):
+            centre, points = corners.mean(axis=0), [*corners]
+            tags.append(self._make(
+                "apriltag_msgs/msg/AprilTagDetection", family="", id=int(found.tag_id[i]),
+                hamming=int(found.hamming[i]), goodness=0.0,
+                decision_margin=float(np.nan_to_num(found.margin[i])), homography=np.zeros(9),
+                centre=self._point(centre), corners=[self._point(p) for p in points],
+            ))  # fmt: skip
+        return self._make(
+            "apriltag_msgs/msg/AprilTagDetectionArray", header=self._header(t_ns, CAMERA),
+            detections=tags,
+        )  # fmt: skip
+
+    def _point(self, pixel: Array) -> Any:
+        u, v = (float(x) for x in pixel)
+        return self._make("apriltag_msgs/msg/Point", x=u, y=v)
 
     def _calibration(self, camera: Camera, t_ns: int) -> Any:
         fu, fv, pu, pv = (float(x) for x in camera.intrinsics)
