@@ -118,6 +118,28 @@ def test_two_moved_tags_are_found_where_they_went():
     assert_allclose(found.offset_W[[3, 8]], moved[[3, 8]], atol=0.003)
 
 
+def test_a_smooth_bend_of_the_whole_map_moves_no_tag_among_its_company():
+    """A lens that is off scales, turns and shifts what it sees; a tag that was moved stands out."""
+    rng = np.random.default_rng(4)
+    x, y = np.meshgrid(np.arange(8) * 0.4, np.arange(6) * 0.4)
+    p_WT = np.stack([x.ravel(), y.ravel(), np.zeros(48)], axis=1)
+    shift, turn, scale = np.array([0.03, -0.02, 0.01]), np.array([0.0, 0.0, 0.02]), 0.015
+    bent = shift + np.cross(turn, p_WT) + scale * p_WT + 1e-4 * rng.standard_normal((48, 3))
+    near = np.linalg.norm(p_WT[:, None] - p_WT, axis=-1) < 0.9
+    together = np.where(near, 20.0, 0.0)
+    assert np.linalg.norm(bent, axis=1).max() > 0.05
+    assert np.linalg.norm(suspects.among(bent, p_WT, together), axis=1).max() < 0.005
+    bent[20] += [0.0, 0.04, 0.0]
+    alone = suspects.among(bent, p_WT, together)
+    assert_allclose(alone[20], [0.0, 0.04, 0.0], atol=0.005)
+    assert np.linalg.norm(np.delete(alone, 20, axis=0), axis=1).max() < 0.01
+
+
+def test_a_tag_without_company_keeps_its_offset():
+    offset = np.array([[0.01, 0.0, 0.0], [0.0, 0.02, 0.0]])
+    assert_allclose(suspects.among(offset, np.eye(2, 3), np.eye(2)), offset)
+
+
 def test_too_few_sightings_judge_nothing():
     tag_map, seen = synthetic(np.random.default_rng(1), np.zeros((12, 3)), cameras=4)
     assert len(suspects.judge_tags(seen, tag_map).row) == 0

@@ -179,19 +179,32 @@ def nis_figure(diary: Diary, t_zero_ns: int) -> Any:
 
 def add_blackouts(fig: Any, stretches: Sequence[tuple[int, int]], t_zero_ns: int) -> bool:
     """Shade stretches of time [ns] behind both rows of an error figure; whether there were any."""
-    for start, end in stretches:
-        x0, x1 = ((t - t_zero_ns) * 1e-9 for t in (start, end))
-        fig.add_vrect(x0=x0, x1=x1, fillcolor=GREY, opacity=0.18, line_width=0, layer="below")
+    shade = {"type": "rect", "y0": 0.0, "y1": 1.0, "fillcolor": GREY, "opacity": 0.18}
+    style = shade | {"line": {"width": 0}, "layer": "below"}
+    at = [_seconds(stretch, t_zero_ns) for stretch in stretches]
+    _add_shapes(fig, [style | {"x0": x0, "x1": x1} for x0, x1 in at])
     return bool(stretches)
 
 
 def add_resets(fig: Any, diary: Diary, t_zero_ns: int) -> bool:
     """Mark where the filter began anew; whether it did."""
-    moments = diary.t_ns[1:][np.diff(diary.resets) > 0]
-    for t_ns in moments.tolist():
-        line = {"color": SUSPECT_COLOR, "width": 1.5, "dash": "dashdot"}
-        fig.add_vline(x=(t_ns - t_zero_ns) * 1e-9, line=line)
-    return bool(len(moments))
+    moments = diary.t_ns[1:][np.diff(diary.resets) > 0].tolist()
+    line = {"color": SUSPECT_COLOR, "width": 1.5, "dash": "dashdot"}
+    style = {"type": "line", "y0": 0.0, "y1": 1.0, "line": line}
+    at = [_seconds((t, t), t_zero_ns) for t in moments]
+    _add_shapes(fig, [style | {"x0": x0, "x1": x1} for x0, x1 in at])
+    return bool(moments)
+
+
+def _seconds(stretch: tuple[int, int], t_zero_ns: int) -> tuple[float, float]:
+    return (stretch[0] - t_zero_ns) * 1e-9, (stretch[1] - t_zero_ns) * 1e-9
+
+
+def _add_shapes(fig: Any, shapes: list[dict[str, Any]]) -> None:
+    """Add shapes to both rows of a figure; all at once, for plotly looks through all at each."""
+    rows = [{"xref": "x", "yref": "y domain"}, {"xref": "x2", "yref": "y2 domain"}]
+    both = [shape | row for row in rows for shape in shapes]
+    fig.update_layout(shapes=[*fig.layout.shapes, *both])
 
 
 def add_suspects(fig: Any, tags: Judgement, tag_map: TagMap) -> None:

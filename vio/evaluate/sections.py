@@ -29,6 +29,7 @@ _BY = {
 _REJECTED = 10  # tags listed as often rejected, at most
 _OFTEN, _FEW = 0.2, 5
 _BLACKOUT_NS = 500_000_000
+_BLACKOUT_FRAMES = 2.5  # or as many times the usual spacing of frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +144,15 @@ def moments_html(moments: Sequence[Picture]) -> str:
 
 
 def blackouts(t_ns: IntArray, count: IntArray) -> list[tuple[int, int]]:
-    """Stretches between poses of half a second and more [ns]; frames (m,) and their tags (m,)."""
+    """Stretches without tags [ns]: half a second, and longer than a slow camera's frames lie apart.
+
+    Frames (m,) [ns] and their tags (m,).
+    """
+    if len(t_ns) < 2:
+        return []
+    usual_ns = float(np.median(np.diff(np.sort(t_ns))))
     used = np.sort(t_ns[count > 0])
-    gaps = np.flatnonzero(np.diff(used) >= _BLACKOUT_NS)
+    gaps = np.flatnonzero(np.diff(used) >= max(_BLACKOUT_NS, _BLACKOUT_FRAMES * usual_ns))
     return [(int(used[k]), int(used[k + 1])) for k in gaps]
 
 

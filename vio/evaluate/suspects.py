@@ -2,7 +2,9 @@
 
 Cameras and tags are moved together until the corners fit best (a bundle adjustment linearised
 where the cameras were measured). Each tag is held where the map has it by how well it was laid,
-with a heavy tail: one that was moved goes, and its neighbours stay.
+with a heavy tail: one that was moved goes, and its neighbours stay. A lens or a map that is off
+everywhere bends the whole, so a tag is judged by how it lies among those that are seen with it, and
+by how well the others of this map do.
 """
 
 from dataclasses import dataclass
@@ -21,15 +23,17 @@ _STEPS = 8
 _TAIL = 4.0  # degrees of freedom of the laying errors' distribution
 _SIGHTING_CHI2 = 26.12  # as the joint pose's robust loss
 _SIGMAS = 5.5
-_LEAST_M = 0.006  # smaller disagreements are nobody's concern
+_RIDGE, _LOCAL_STEPS = 0.02, 5  # how much a neighbourhood must agree on to count as turned
+_LEAST_M = 0.01  # smaller disagreements are nobody's concern
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judgement:
     """What was found of k tags.
 
-    row (k,) in the map; offset_W (k, 3) [m]: where the tag lies less where the map has it; sigma_W
-    (k, 3) [m] of that, laying included; distance (k,) in sigmas; frames (k,): how many saw it;
+    row (k,) in the map; offset_W (k, 3) [m]: where the tag lies, among those seen with it, less
+    where the map has it; sigma_W (k, 3) [m] of that for a tag that is as well laid as the map says,
+    or as the others of this map are; distance (k,) in sigmas; frames (k,): how many saw it;
     suspect (k,): too far, and by too many sigmas.
     """
 
@@ -55,13 +59,52 @@ def judge_tags(seen: Sightings, tag_map: TagMap) -> Judgement:
     r, Jc, Jt = _linearised(seen, kept, tag_map)
     laying = _laying(tag_map, rows)
     offset_T, cov_T = _solve(r, Jc, Jt, tag, camera, laying)
-    total = cov_T + laying[:, :3, None] ** 2 * np.eye(3)
-    distance = np.sqrt(np.einsum("ki,kij,kj->k", offset_T, np.linalg.inv(total), offset_T))
-    suspect = (distance > _SIGMAS) & (np.linalg.norm(offset_T, axis=-1) > _LEAST_M)
     R_WT = tag_map.R_WT[rows]
-    offset_W = np.einsum("kij,kj->ki", R_WT, offset_T)
+    together = _together(tag, camera, len(rows))
+    alone_W = among(np.einsum("kij,kj->ki", R_WT, offset_T), tag_map.p_WT[rows], together)
+    alone_T = np.einsum("kji,kj->ki", R_WT, alone_W)
+    usual = 1.4826 * np.median(np.abs(alone_T), axis=0)  # of a normal distribution: its sigma
+    total = cov_T + np.maximum(laying[:, :3], usual)[:, :, None] ** 2 * np.eye(3)
+    distance = np.sqrt(np.einsum("ki,kij,kj->k", alone_T, np.linalg.inv(total), alone_T))
+    suspect = (distance > _SIGMAS) & (np.linalg.norm(alone_T, axis=-1) > _LEAST_M)
     sigma_W = np.sqrt(np.einsum("kij,kjl,kil->ki", R_WT, total, R_WT))
-    return Judgement(rows, offset_W, sigma_W, distance, frames, suspect)
+    return Judgement(rows, alone_W, sigma_W, distance, frames, suspect)
+
+
+def among(offset_W: Array, p_WT: Array, together: Array) -> Array:
+    """Offsets (k, 3) [m] less what moves each tag's company as one: a shift, a turn, a scale.
+
+    p_WT (k, 3) [m]; together (k, k): in how many frames two tags were seen together. Neighbours
+    that themselves lie elsewhere than the rest count little.
+    """
+    out = np.empty_like(offset_W)
+    for k in range(len(offset_W)):
+        near = np.flatnonzero((together[k] > 0) & (np.arange(len(offset_W)) != k))
+        out[k] = offset_W[k]
+        if not len(near):
+            continue
+        away = p_WT[near] - p_WT[k]
+        A = np.zeros((len(near), 3, 7))  # d offset / d [shift, turn, scale] at the tag
+        A[:, :, :3], A[:, :, 3:6], A[:, :, 6] = np.eye(3), -geo.hat(away), away
+        weight = together[k, near] / together[k, near].sum()
+        reach = float(np.sqrt(np.mean(away**2))) + 1e-9
+        ridge = _RIDGE * np.diag([0.0, 0.0, 0.0, *(reach**2 * np.ones(4))])
+        for _ in range(_LOCAL_STEPS):
+            W = A * weight[:, None, None]
+            normal = np.einsum("nri,nrj->ij", W, A) + ridge
+            common = np.linalg.solve(normal, np.einsum("nri,nr->i", W, offset_W[near]))
+            rest = np.linalg.norm(offset_W[near] - A @ common, axis=-1)
+            scale = 2.0 * float(np.median(rest)) + 1e-9
+            weight = together[k, near] / together[k, near].sum() / (1.0 + (rest / scale) ** 2)
+        out[k] -= common[:3]
+    return out
+
+
+def _together(tag: IntArray, camera: IntArray, k: int) -> Array:
+    """In how many frames each two tags were seen; (k, k)."""
+    seen = np.zeros((int(camera.max()) + 1, k))
+    seen[camera, tag] = 1.0
+    return np.asarray(seen.T @ seen)
 
 
 def _nothing() -> Judgement:
