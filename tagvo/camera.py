@@ -7,11 +7,14 @@ k1..k4 of theta (Kannala-Brandt, OpenCV's fisheye).
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 
-from tagvo.compiled import njit
+from tagvo.compiled import bare, leaf, njit
 from tagvo.geometry import Array, BoolArray
+
+Point: TypeAlias = tuple[float, float, float, float, float, float]
 
 _NEWTON_STEPS = 25
 _NEWTON_TOLERANCE = 1e-14
@@ -54,9 +57,9 @@ class Camera:
         return float(radii[folded[0]]) if folded.size else np.inf
 
 
-@njit
-def _radtan(x: float, y: float, k: Array, out: Array) -> None:
-    """Distorted x, y and d/dx, d/dy of both into out (6,); k (8,), zeros where not used."""
+@leaf
+def _radtan(x: float, y: float, k: Array) -> Point:
+    """Distorted x, y and d/dx, d/dy of both; k (8,), zeros where not used."""
     xy, xx, yy = x * y, x * x, y * y
     r2 = xx + yy
     top = 1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
@@ -65,15 +68,15 @@ def _radtan(x: float, y: float, k: Array, out: Array) -> None:
     d_top = k[0] + r2 * (2 * k[1] + r2 * 3 * k[4])
     dg = 2 * (d_top - g * (k[5] + r2 * (2 * k[6] + r2 * 3 * k[7]))) / below
     p1, p2 = k[2], k[3]
-    out[0] = x * g + 2 * p1 * xy + p2 * (r2 + 2 * xx)
-    out[1] = y * g + p1 * (r2 + 2 * yy) + 2 * p2 * xy
-    out[2] = g + xx * dg + 2 * p1 * y + 6 * p2 * x
-    out[3] = out[4] = xy * dg + 2 * p1 * x + 2 * p2 * y
-    out[5] = g + yy * dg + 6 * p1 * y + 2 * p2 * x
+    x_d = x * g + 2 * p1 * xy + p2 * (r2 + 2 * xx)
+    y_d = y * g + p1 * (r2 + 2 * yy) + 2 * p2 * xy
+    across = xy * dg + 2 * p1 * x + 2 * p2 * y
+    x_dx, y_dy = g + xx * dg + 2 * p1 * y + 6 * p2 * x, g + yy * dg + 6 * p1 * y + 2 * p2 * x
+    return x_d, y_d, x_dx, across, across, y_dy
 
 
-@njit
-def _equidistant(x: float, y: float, k: Array, out: Array) -> None:
+@leaf
+def _equidistant(x: float, y: float, k: Array) -> Point:
     """As `_radtan`, for the fisheye model theta_d = theta (1 + k1 theta^2 + ...)."""
     r = np.sqrt(x * x + y * y)
     theta = np.arctan(r)
@@ -83,19 +86,19 @@ def _equidistant(x: float, y: float, k: Array, out: Array) -> None:
         d = 1 + t2 * (3 * k[0] + t2 * (5 * k[1] + t2 * (7 * k[2] + t2 * 9 * k[3])))
         scale = theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3])))) / r
         d_scale = (d / (1 + r * r) - scale) / (r * r)
-    out[0], out[1] = scale * x, scale * y
-    out[2], out[5] = scale + d_scale * x * x, scale + d_scale * y * y
-    out[3] = out[4] = d_scale * x * y
+    across = d_scale * x * y
+    x_dx, y_dy = scale + d_scale * x * x, scale + d_scale * y * y
+    return scale * x, scale * y, x_dx, across, across, y_dy
 
 
-@njit
-def distort_point(model: int, x: float, y: float, k: Array, out: Array) -> None:
+@bare
+def distort_point(model: int, x: float, y: float, k: Array) -> Point:
+    """Distorted x, y and d/dx, d/dy of both, of one point; k (8,)."""
     if model == 1:
-        _radtan(x, y, k, out)
-    elif model == 2:
-        _equidistant(x, y, k, out)
-    else:
-        out[0], out[1], out[2], out[3], out[4], out[5] = x, y, 1.0, 0.0, 0.0, 1.0
+        return _radtan(x, y, k)
+    if model == 2:
+        return _equidistant(x, y, k)
+    return x, y, 1.0, 0.0, 0.0, 1.0
 
 
 @njit
@@ -103,11 +106,10 @@ def _distort_all(model: int, k: Array, x_n: Array) -> tuple[Array, Array]:
     """Distorted coordinates (m, 2) and Jacobians (m, 2, 2) of x_n (m, 2)."""
     m = len(x_n)
     x_d, J = np.empty((m, 2)), np.empty((m, 2, 2))
-    point = np.empty(6)
     for i in range(m):
-        distort_point(model, x_n[i, 0], x_n[i, 1], k, point)
-        x_d[i, 0], x_d[i, 1] = point[0], point[1]
-        J[i, 0, 0], J[i, 0, 1], J[i, 1, 0], J[i, 1, 1] = point[2], point[3], point[4], point[5]
+        x_d[i, 0], x_d[i, 1], J[i, 0, 0], J[i, 0, 1], J[i, 1, 0], J[i, 1, 1] = distort_point(
+            model, x_n[i, 0], x_n[i, 1], k
+        )
     return x_d, J
 
 
@@ -118,7 +120,6 @@ def _undistort_all(
     """Newton's method on `distort_point` for every row of target (m, 2)."""
     m = len(target)
     x_n, J, valid = np.zeros((m, 2)), np.zeros((m, 2, 2)), np.zeros(m, dtype=np.bool_)
-    point = np.empty(6)
     for i in range(m):
         u, v = target[i, 0], target[i, 1]
         x, y = u, v
@@ -126,19 +127,19 @@ def _undistort_all(
             theta = np.sqrt(u * u + v * v)
             if theta > 1e-6:
                 x, y = u * np.tan(min(theta, 1.48)) / theta, v * np.tan(min(theta, 1.48)) / theta
-        residual = np.inf
+        residual, xx, xy, yx, yy = np.inf, 1.0, 0.0, 0.0, 1.0
         for _ in range(_NEWTON_STEPS):
-            distort_point(model, x, y, k, point)
-            eu, ev = u - point[0], v - point[1]
+            x_d, y_d, xx, xy, yx, yy = distort_point(model, x, y, k)
+            eu, ev = u - x_d, v - y_d
             residual = max(abs(eu), abs(ev))
             if residual < _NEWTON_TOLERANCE:
                 break
-            det = point[2] * point[5] - point[3] * point[4]
+            det = xx * yy - xy * yx
             if not abs(det) > 1e-9:
                 break
-            x += min(max((point[5] * eu - point[3] * ev) / det, -0.5), 0.5)
-            y += min(max((point[2] * ev - point[4] * eu) / det, -0.5), 0.5)
-        J[i, 0, 0], J[i, 0, 1], J[i, 1, 0], J[i, 1, 1] = point[2], point[3], point[4], point[5]
+            x += min(max((yy * eu - xy * ev) / det, -0.5), 0.5)
+            y += min(max((xx * ev - yx * eu) / det, -0.5), 0.5)
+        J[i, 0, 0], J[i, 0, 1], J[i, 1, 0], J[i, 1, 1] = xx, xy, yx, yy
         if residual < 1e-8 and x * x + y * y < max_radius * max_radius:
             valid[i] = True
             x_n[i, 0], x_n[i, 1] = x, y

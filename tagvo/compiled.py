@@ -6,7 +6,7 @@ whose docstring names an output argument.
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import numba
 import numpy as np
@@ -17,6 +17,9 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
+_MARKS = (b"@njit", b"@bare", b"@leaf")
+
+
 def drop_stale_code(folders: Iterable[Path]) -> None:
     """Forget cached machine code older than the newest kernel source in these folders.
 
@@ -24,7 +27,8 @@ def drop_stale_code(folders: Iterable[Path]) -> None:
     file would go on running the old callee that was compiled into it.
     """
     folders = list(folders)
-    kernels = [p for d in folders for p in d.glob("*.py") if b"@njit" in p.read_bytes()]
+    sources = [(p, p.read_bytes()) for d in folders for p in d.glob("*.py")]
+    kernels = [p for p, text in sources if any(mark in text for mark in _MARKS)]
     newest = max((p.stat().st_mtime for p in kernels), default=0.0)
     for index in (p for d in folders for p in d.glob("__pycache__/*.nb[ic]")):
         try:
@@ -34,17 +38,35 @@ def drop_stale_code(folders: Iterable[Path]) -> None:
             continue
 
 
+_jit: Any = numba.njit  # its type hints do not know `_nrt`
+_OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 _HERE = Path(__file__).parent
 drop_stale_code([_HERE, *(d for d in _HERE.iterdir() if d.is_dir())])
 
 
 def njit(function: Callable[P, T]) -> Callable[P, T]:
     """Compile at first call, keep the machine code on disk, release the GIL while running."""
-    compiled: Callable[P, T] = numba.njit(cache=True, nogil=True, error_model="numpy")(function)
+    compiled: Callable[P, T] = _jit(**_OPTIONS)(function)
     return compiled
 
 
-@njit
+def bare(function: Callable[P, T]) -> Callable[P, T]:
+    """As `njit`, for kernels that allocate nothing and call nothing that does, which is checked.
+
+    Numba then counts no references to the arrays that go through, which in functions of a few
+    dozen operations costs several times what they do.
+    """
+    compiled: Callable[P, T] = _jit(**_OPTIONS, _nrt=False)(function)
+    return compiled
+
+
+def leaf(function: Callable[P, T]) -> Callable[P, T]:
+    """As `bare`, and put into its callers whole: for the innermost functions of a loop."""
+    compiled: Callable[P, T] = _jit(**_OPTIONS, _nrt=False, forceinline=True)(function)
+    return compiled
+
+
+@bare
 def cholesky(A: Array) -> bool:
     """Lower factor of a symmetric (n, n) in its lower triangle, in place; False: not positive."""
     n = A.shape[0]
@@ -64,7 +86,7 @@ def cholesky(A: Array) -> bool:
     return True
 
 
-@njit
+@bare
 def forward(L: Array, b: Array) -> None:
     """Solve L x = b in place of b (n, m); L lower."""
     n, m = b.shape
@@ -78,7 +100,7 @@ def forward(L: Array, b: Array) -> None:
             b[i, j] *= inv
 
 
-@njit
+@bare
 def backward(L: Array, b: Array) -> None:
     """Solve L^T x = b in place of b (n, m); L lower."""
     n, m = b.shape
@@ -112,7 +134,7 @@ def inverse_spd(A: Array, out: Array) -> bool:
     return True
 
 
-@njit
+@bare
 def rotated(R: Array, phi: Array, out: Array) -> None:
     """R Exp(phi) into `out` (3, 3); phi (3,) [rad]."""
     t2 = phi[0] * phi[0] + phi[1] * phi[1] + phi[2] * phi[2]

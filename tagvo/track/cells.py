@@ -6,24 +6,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagvo.bitmaps import tag_bitmap
-from tagvo.camera import MODELS, Camera
+from tagvo.camera import MODELS, Camera, unproject
 from tagvo.families import Family
 from tagvo.geometry import Array
 from tagvo.tagmap import TagMap
 
 Cells: TypeAlias = NDArray[np.int8]
 Gray: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
+FLAT = -1
+_RIM_STEPS = 64  # looks along each side of the image for what its rim shows
 _IDS_LOOKED_AT = 24  # to find the cells of a family that no id uses
 
 
 class Lens(NamedTuple):
-    """A camera as the kernels take it; intrinsics (4,), coeffs (8,), size (2,) width, height."""
+    """A camera as the kernels take it; intrinsics (4,), coeffs (8,), size (2,) width, height.
+
+    reach (4,): least and largest normalised x and y that fall into the image; model FLAT:
+    normalised coordinates are pixels already.
+    """
 
     model: int
     intrinsics: Array
     coeffs: Array
     size: Array
     max_radius: float
+    reach: Array
 
 
 class MapArrays(NamedTuple):
@@ -85,4 +92,21 @@ def lens_of(camera: Camera) -> Lens:
         np.array(camera.kernel_coeffs, dtype=float),
         np.array(camera.resolution, dtype=float),
         float(min(camera.max_radius, 1e3)),
+        _view(camera),
     )
+
+
+def _view(camera: Camera) -> Array:
+    """Normalised bounds of what the image shows; (4,). The rim shows the farthest."""
+    s = np.linspace(0.0, 1.0, _RIM_STEPS)
+    zero, one = np.zeros_like(s), np.ones_like(s)
+    rim = np.concatenate(
+        [np.stack(side, axis=1) for side in ((s, zero), (s, one), (zero, s), (one, s))]
+    )
+    x_n, _, valid = unproject(camera, rim * (np.array(camera.resolution) - 1.0))
+    reach = float(min(camera.max_radius, 1e3))
+    if not valid.all():  # the lens bends back within the image
+        return np.array([-reach, reach, -reach, reach])
+    slack = 0.02 * float(np.abs(x_n).max())
+    low, high = x_n.min(axis=0) - slack, x_n.max(axis=0) + slack
+    return np.array([low[0], high[0], low[1], high[1]])

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from tagvo.compiled import njit
+from tagvo.compiled import bare, leaf
 from tagvo.geometry import Array, BoolArray
 from tagvo.track.cells import Gray, Lens
 from tagvo.track.predict import to_pixel
@@ -20,10 +20,11 @@ _FLOOR = 0.2  # share of a profile's steepest step below which a step is noise
 _MIN_STEP = 6.0  # grey values across an edge; below, a scan has seen no edge
 _WEAK = 0.4  # a scan whose step is smaller than this share of the side's median saw another edge
 _MIN_GOOD = 0.6  # share of a side's scans that must agree on one line
+_PIECE_PX = 60.0  # of a side that a cubic and one normal are good for
 _INDEPENDENT_PX = 1.5  # scans nearer to one another than this see the same noise
 
 
-@njit
+@leaf
 def grey(image: Gray, u: float, v: float) -> float:
     """Bilinear grey value at a pixel that lies inside the image by one pixel at least."""
     x, y, one = np.uintp(u), np.uintp(v), np.uintp(1)  # unsigned: no wrap-around to be looked for
@@ -34,7 +35,7 @@ def grey(image: Gray, u: float, v: float) -> float:
     return float(top + b * (low - top))
 
 
-@njit
+@leaf
 def _profile(
     image: Gray, u: float, v: float, nu: float, nv: float, band: float, steps: int,
     sense: float, seen: Array,
@@ -54,7 +55,7 @@ def _profile(
     return True
 
 
-@njit
+@leaf
 def _steepest(seen: Array, steps: int) -> int:
     """Index of the steepest step of a profile, neighbours counted half; -1: none rises."""
     best, top = -1, 0.0
@@ -67,7 +68,7 @@ def _steepest(seen: Array, steps: int) -> int:
     return best
 
 
-@njit
+@leaf
 def _rough_edge(seen: Array, steps: int, band: float) -> tuple[float, float, float]:
     """Place of the edge in a profile [px from its middle], its spread [px], its step [grey].
 
@@ -96,7 +97,7 @@ def _rough_edge(seen: Array, steps: int, band: float) -> tuple[float, float, flo
     return first / mass, math.sqrt(max(third / moment - mean * mean, 0.0)), rise
 
 
-@njit
+@leaf
 def _fine_edge(seen: Array, steps: int, band: float) -> tuple[float, float, float]:
     """As `_rough_edge`, by the centre of all steps: where the light is half way on the average.
 
@@ -118,7 +119,7 @@ def _fine_edge(seen: Array, steps: int, band: float) -> tuple[float, float, floa
     return place, math.sqrt(max(square / mass - place * place, 0.0)), mass
 
 
-@njit
+@bare
 def _median(values: Array, n: int) -> float:
     """Upper median of the first n values, which are put in order (few: insertion sort)."""
     for i in range(1, n):
@@ -131,7 +132,7 @@ def _median(values: Array, n: int) -> float:
     return float(values[n // 2])
 
 
-@njit
+@bare
 def _distance(
     t: Array, e: Array, good: BoolArray, n: int, a: float, b: float, left: Array
 ) -> float:
@@ -144,7 +145,7 @@ def _distance(
     return _median(left, m)
 
 
-@njit
+@bare
 def _first_line(
     t: Array, e: Array, good: BoolArray, n: int, wide: bool, out: Array, left: Array
 ) -> float:
@@ -173,7 +174,7 @@ def _first_line(
     return least
 
 
-@njit
+@bare
 def _robust_line(
     t: Array, e: Array, good: BoolArray, n: int, wide: bool, out: Array, left: Array
 ) -> float:
@@ -219,50 +220,56 @@ def _robust_line(
     return rms
 
 
-@njit
+@bare
 def fit_side(
-    image: Gray, lens: Lens, a: Array, b: Array, sense: float, band: float,
-    scans: int, pitch: float, wide: bool, sharp: bool, line: Array, work: Array, good: BoolArray,
+    image: Gray, lens: Lens, a: Array, b: Array, at_a: Array, at_b: Array, sense: float,
+    band: float, scans: int, pitch: float, wide: bool, sharp: bool, line: Array, work: Array,
+    good: BoolArray,
 ) -> bool:  # fmt: skip
     """One side between its predicted corners a, b (2,) [normalised] -> line (7,).
 
-    line: perpendicular offset of the edge at a and at b [normalised], rms of the scans from it
-    [px], spread of the edge [px], step [grey], pixels a normalised unit across it, share of the
-    scans that agree. wide: the side is not yet known well; sharp: the band
-    holds its whole edge and no other. work (WORK, MAX_STEPS), good
-    (MAX_SCANS,): scratch. False: there is no such edge within the band.
+    at_a, at_b (6,): `to_pixel` of the corners. line: perpendicular offset of the edge at a and at b
+    [normalised], rms of the scans from it [px], spread of the edge [px], step [grey], pixels a
+    normalised unit across it, share of the scans that agree. wide: the side is not yet known well;
+    sharp: the band holds its whole edge and no other. work (WORK, MAX_STEPS), good (MAX_SCANS,):
+    scratch. False: there is no such edge within the band.
     """
-    steps = min(MAX_STEPS, max(4, int(2.0 * band / pitch) + 1))
-    t, e, spread, rise, scale, seen, point, left = (
-        work[0], work[1], work[2], work[3], work[4], work[5], work[6], work[7],
-    )  # fmt: skip
+    t, e, spread, rise, scale, left = work[0], work[1], work[2], work[3], work[4], work[7]
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = math.sqrt(dx * dx + dy * dy)
     if length < 1e-9:
         return False
-    nx, ny = dy / length, -dx / length
-    for k in range(scans):
-        s = MARGIN + (1.0 - 2.0 * MARGIN) * k / (scans - 1)
-        to_pixel(lens, a[0] + s * dx, a[1] + s * dy, point)
-        tu, tv = point[2] * dx + point[3] * dy, point[4] * dx + point[5] * dy
+    pieces = 1 + int(math.hypot(at_b[0] - at_a[0], at_b[1] - at_a[1]) / _PIECE_PX)
+    first, u0, v0, ux0, uy0, vx0, vy0 = 0, at_a[0], at_a[1], at_a[2], at_a[3], at_a[4], at_a[5]
+    for piece in range(1, pieces + 1):
+        end = piece / pieces
+        u1, v1, ux1, uy1, vx1, vy1 = at_b[0], at_b[1], at_b[2], at_b[3], at_b[4], at_b[5]
+        if piece < pieces:
+            u1, v1, ux1, uy1, vx1, vy1 = to_pixel(lens, a[0] + end * dx, a[1] + end * dy)
+        mu0, mv0 = (ux0 * dx + uy0 * dy) / pieces, (vx0 * dx + vy0 * dy) / pieces
+        mu1, mv1 = (ux1 * dx + uy1 * dy) / pieces, (vx1 * dx + vy1 * dy) / pieces
+        du, dv = u1 - u0, v1 - v0
+        tu, tv = 1.5 * du - 0.25 * (mu0 + mu1), 1.5 * dv - 0.25 * (mv0 + mv1)
         long = math.sqrt(tu * tu + tv * tv)
         nu, nv = tv / long, -tu / long
-        t[k], e[k], rise[k], good[k] = s, 0.0, 0.0, False
-        if not _profile(image, point[0], point[1], nu, nv, band, steps, sense, seen):
-            continue
-        if wide or not sharp:
-            place, spread[k], rise[k] = _rough_edge(seen, steps, band)
-        else:
-            place, spread[k], rise[k] = _fine_edge(seen, steps, band)
-        if rise[k] < _MIN_STEP:
-            continue
-        det = point[2] * point[5] - point[3] * point[4]
-        mx = (point[5] * nu - point[3] * nv) / det
-        my = (point[2] * nv - point[4] * nu) / det
-        scale[k] = mx * nx + my * ny  # normalised units across the side for one pixel
-        t[k] += place * (mx * dx + my * dy) / (length * length)
-        e[k] = place
-        good[k] = True
+        ux, uy, vx, vy = 0.5 * (ux0 + ux1), 0.5 * (uy0 + uy1), 0.5 * (vx0 + vx1), 0.5 * (vy0 + vy1)
+        det = ux * vy - uy * vx
+        mx, my = (vy * nu - uy * nv) / det, (ux * nv - vx * nu) / det
+        unit = (mx * dy - my * dx) / length  # normalised units across the side for one pixel
+        along = (mx * dx + my * dy) / (length * length)
+        qu2, qu3 = 3.0 * du - 2.0 * mu0 - mu1, mu0 + mu1 - 2.0 * du  # cubic through both ends
+        qv2, qv3 = 3.0 * dv - 2.0 * mv0 - mv1, mv0 + mv1 - 2.0 * dv
+        for k in range(first, scans):
+            s = MARGIN + (1.0 - 2.0 * MARGIN) * k / (scans - 1)
+            if s > end:
+                break
+            first, r = k + 1, s * pieces - (piece - 1)
+            u, v = u0 + r * (mu0 + r * (qu2 + r * qu3)), v0 + r * (mv0 + r * (qv2 + r * qv3))
+            e[k], spread[k], rise[k] = _scan(
+                image, u, v, nu, nv, band, pitch, sense, sharp and not wide, work[5]
+            )
+            t[k], scale[k], good[k] = s + e[k] * along, unit, rise[k] >= _MIN_STEP
+        u0, v0, ux0, uy0, vx0, vy0 = u1, v1, ux1, uy1, vx1, vy1
     for k in range(scans):
         left[k] = rise[k]
     usual = _median(left, scans)
@@ -275,7 +282,19 @@ def fit_side(
     return True
 
 
-@njit
+@leaf
+def _scan(
+    image: Gray, u: float, v: float, nu: float, nv: float, band: float, pitch: float, sense: float,
+    fine: bool, seen: Array,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Place, spread and step of the edge along the normal through a pixel; seen: scratch."""
+    steps = min(MAX_STEPS, max(4, int(2.0 * band / pitch) + 1))
+    if not _profile(image, u, v, nu, nv, band, steps, sense, seen):
+        return 0.0, 0.0, 0.0
+    return _fine_edge(seen, steps, band) if fine else _rough_edge(seen, steps, band)
+
+
+@bare
 def _summary(
     good: BoolArray, spread: Array, rise: Array, scale: Array, scans: int, rms: float, line: Array
 ) -> None:
@@ -293,7 +312,7 @@ def _summary(
     line[2], line[3], line[4], line[5], line[6] = rms, width / n, step / n, 1.0 / unit, n / scans
 
 
-@njit
+@bare
 def cross_sides(quad_n: Array, lines: Array, out: Array) -> bool:
     """Corners (4, 2) [normalised] where the moved sides cross; lines (4, 7) of `fit_side`."""
     for c in range(4):
@@ -322,7 +341,7 @@ def cross_sides(quad_n: Array, lines: Array, out: Array) -> bool:
     return True
 
 
-@njit
+@bare
 def line_variance(rms: float, share: float, length_px: float) -> float:
     """Variance of a fitted side at its end [px^2] from the scatter of its scans.
 

@@ -3,11 +3,12 @@
 Pure decisions over a small state.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from tagvo import geometry as geo
+from tagvo.compiled import bare, cholesky, njit
 from tagvo.geometry import Array
 from tagvo.records import PosePrior
 from tagvo.track.cells import Gray
@@ -19,6 +20,7 @@ _DECIMATES = (1.5, 2.0, 3.0, 4.0)
 _SIDE_PX, _ENOUGH_TAGS = 10.0, 8
 _MOSAIC = 0.04  # half the difference of a mosaic's two diagonals, over the mean
 _UNIT = 1e-3  # how far a rotation may be from orthonormal
+_LEAST_VARIANCE, _SINGULAR = 1e-24, 1e-12  # of a coordinate; of what its correlations leave of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,28 +40,94 @@ class Strip:
     bottom: int
 
 
-def prior_fault(prior: PosePrior | None, t_ns: int) -> str | None:
-    """Why a prior cannot be tracked by at a frame's stamp, None where it can."""
+def admitted(prior: PosePrior | None, t_ns: int) -> tuple[PosePrior | None, str | None]:
+    """The prior as kernels want it, or why it cannot be tracked by at a frame's stamp.
+
+    Its covariance then is exactly symmetric, its rotation exact. Raises nothing.
+    """
     if prior is None:
-        return "no_prior"
+        return None, "no_prior"
     if prior.t_ns > t_ns + _SAME_MOMENT_NS:
-        return "prior_from_the_future"
+        return None, "prior_from_the_future"
     if prior.t_ns < t_ns - _SAME_MOMENT_NS:
-        return "prior_too_old"
+        return None, "prior_too_old"
     shapes = np.shape(prior.p_WC), np.shape(prior.R_WC), np.shape(prior.cov)
     if shapes != ((3,), (3, 3), (6, 6)):
-        return "prior_not_finite"
-    if not all(np.isfinite(a).all() for a in (prior.p_WC, prior.R_WC, prior.cov)):
-        return "prior_not_finite"
-    off = np.abs(prior.R_WC.T @ prior.R_WC - np.eye(3)).max()
-    if off > _UNIT or np.linalg.det(prior.R_WC) < 0.0:
-        return "prior_not_a_rotation"
-    eigenvalues = np.linalg.eigvalsh(0.5 * (prior.cov + prior.cov.T))
-    if eigenvalues[0] <= 1e-12 * max(eigenvalues[-1], 1e-12):
-        return "prior_singular"
-    if np.linalg.eigvalsh(prior.cov[3:, 3:])[-1] > _MAX_ROTATION_RAD**2:
-        return "prior_too_wide"
-    return None
+        return None, _FAULTS[0]
+    R_WC, p_WC, cov = np.empty((3, 3)), np.empty(3), np.empty((6, 6))
+    R_WC[:], p_WC[:], cov[:] = prior.R_WC, prior.p_WC, prior.cov
+    fault = _examine(R_WC, p_WC, cov, np.empty((6, 6)), np.empty((3, 3)))
+    if fault >= 0:
+        return None, _FAULTS[fault]
+    return PosePrior(prior.t_ns, p_WC, R_WC, cov), None
+
+
+_FAULTS = ("prior_not_finite", "prior_not_a_rotation", "prior_singular", "prior_too_wide")
+
+
+@bare
+def _examine(R: Array, p: Array, cov: Array, L: Array, E: Array) -> int:
+    """Index of a fault, -1: none, and then R and cov are put right in place; L, E: scratch."""
+    for i in range(6):
+        for j in range(6):
+            if not math.isfinite(cov[i, j]):
+                return 0
+    for i in range(3):
+        if not (math.isfinite(p[i]) and math.isfinite(R[i, 0] * R[i, 1] * R[i, 2])):
+            return 0
+    if _not_orthonormal(R, E) > _UNIT or _determinant(R) < 0.0:
+        return 1
+    for _ in range(2):  # towards the nearest rotation; the error is squared each time
+        _not_orthonormal(R, E)
+        for i in range(3):
+            x, y, z = R[i, 0], R[i, 1], R[i, 2]
+            for k in range(3):
+                R[i, k] -= 0.5 * (x * E[0, k] + y * E[1, k] + z * E[2, k])
+    for i in range(6):
+        for j in range(i):
+            cov[i, j] = cov[j, i] = 0.5 * (cov[i, j] + cov[j, i])
+    for i in range(6):
+        for j in range(i + 1):
+            if not cov[i, i] > _LEAST_VARIANCE:
+                return 2
+            L[i, j] = cov[i, j] / math.sqrt(cov[i, i] * cov[j, j])
+        L[i, i] = 1.0 - _SINGULAR
+    if not cholesky(L):
+        return 2
+    return 3 if _largest_eigenvalue(cov[3:, 3:]) > _MAX_ROTATION_RAD**2 else -1
+
+
+@bare
+def _not_orthonormal(R: Array, E: Array) -> float:
+    """R^T R - I into E (3, 3); -> its largest element, by size."""
+    worst = 0.0
+    for i in range(3):
+        for k in range(3):
+            E[i, k] = R[0, i] * R[0, k] + R[1, i] * R[1, k] + R[2, i] * R[2, k]
+            E[i, k] -= 1.0 if i == k else 0.0
+            worst = max(worst, abs(E[i, k]))
+    return worst
+
+
+@bare
+def _determinant(A: Array) -> float:
+    a = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
+    b = A[1, 0] * A[2, 2] - A[1, 2] * A[2, 0]
+    c = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
+    return float(A[0, 0] * a - A[0, 1] * b + A[0, 2] * c)
+
+
+@bare
+def _largest_eigenvalue(A: Array) -> float:
+    """Of a symmetric (3, 3), by the cosine of a third of an angle."""
+    mean = (A[0, 0] + A[1, 1] + A[2, 2]) / 3.0
+    a, b, c = A[0, 0] - mean, A[1, 1] - mean, A[2, 2] - mean
+    d, e, f = A[0, 1], A[0, 2], A[1, 2]
+    spread = math.sqrt((a * a + b * b + c * c + 2.0 * (d * d + e * e + f * f)) / 6.0)
+    if spread <= 0.0:
+        return float(mean)
+    half = 0.5 * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / spread**3
+    return float(mean + 2.0 * spread * math.cos(math.acos(min(max(half, -1.0), 1.0)) / 3.0))
 
 
 def looks_mosaic(image: Gray) -> bool:
@@ -67,15 +135,20 @@ def looks_mosaic(image: Gray) -> bool:
 
     Edges along rows or columns leave this alone; judged on some thirty pairs of rows.
     """
-    step = max(2, image.shape[0] // 32 // 2 * 2)
+    return min(image.shape) >= 2 and bool(_diagonals_differ(image))
+
+
+@njit
+def _diagonals_differ(image: Gray) -> bool:
     height, width = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
-    if height < 2 or width < 2:
-        return False
-    upper = image[0:height:step, :width].mean(axis=0).reshape(-1, 2).mean(axis=0)
-    lower = image[1:height:step, :width].mean(axis=0).reshape(-1, 2).mean(axis=0)
-    difference = 0.25 * abs(float(upper[0] + lower[1] - upper[1] - lower[0]))
-    mean = 0.25 * float(upper.sum() + lower.sum())
-    return difference > _MOSAIC * max(mean, 1.0)
+    a = b = c = d = 0
+    for y in range(0, height, max(2, image.shape[0] // 32 // 2 * 2)):
+        for x in range(0, width, 2):
+            a += image[y, x]
+            b += image[y, x + 1]
+            c += image[y + 1, x]
+            d += image[y + 1, x + 1]
+    return abs(a + d - b - c) > _MOSAIC * max(a + b + c + d, 1)
 
 
 def strip_due(
@@ -103,12 +176,6 @@ def tracking_failed(tracked: int, tried: int, config: TrackConfig) -> str | None
     if tracked < config.min_share * tried:
         return "too_small_a_share"
     return None
-
-
-def symmetric(prior: PosePrior) -> PosePrior:
-    """The prior with an exactly symmetric covariance and an exact rotation, as kernels want it."""
-    cov = 0.5 * (prior.cov + prior.cov.T)
-    return PosePrior(prior.t_ns, prior.p_WC, geo.project_to_so3(prior.R_WC), cov)
 
 
 def decimate_needed(sides_px: Array, size: Array, largest_only: bool) -> float | None:

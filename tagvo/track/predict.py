@@ -7,31 +7,29 @@ import math
 
 import numpy as np
 
-from tagvo.camera import distort_point
-from tagvo.compiled import inverse_spd, njit, rotated
+from tagvo.camera import Point, distort_point
+from tagvo.compiled import bare, inverse_spd, leaf, njit, rotated
 from tagvo.geometry import Array, IntArray
-from tagvo.track.cells import Lens, MapArrays
+from tagvo.track.cells import FLAT, Lens, MapArrays
 
 _NEAR = 0.02  # [m] along z of C
 _MIN_COSINE = 0.15  # a tag seen flatter than 81 deg is not worth a look
+_STRETCH = 3.0  # of a side over half a diagonal, by a lens that stretches its rim twofold
 _HUBER = 3.0
 _STEPS = 3  # of Gauss-Newton; the last one only looks at what is left
 
 
-@njit
-def to_pixel(lens: Lens, x: float, y: float, out: Array) -> None:
-    """Pixel u, v of normalised x, y and du/dx, du/dy, dv/dx, dv/dy, into out (6,)."""
-    distort_point(lens.model, x, y, lens.coeffs, out)
-    fu, fv = lens.intrinsics[0], lens.intrinsics[1]
-    out[0] = out[0] * fu + lens.intrinsics[2]
-    out[1] = out[1] * fv + lens.intrinsics[3]
-    out[2] *= fu
-    out[3] *= fu
-    out[4] *= fv
-    out[5] *= fv
+@leaf
+def to_pixel(lens: Lens, x: float, y: float) -> Point:
+    """Pixel u, v of normalised x, y, and du/dx, du/dy, dv/dx, dv/dy."""
+    if lens.model == FLAT:
+        return x, y, 1.0, 0.0, 0.0, 1.0
+    u, v, ux, uy, vx, vy = distort_point(lens.model, x, y, lens.coeffs)
+    f = lens.intrinsics
+    return u * f[0] + f[2], v * f[1] + f[3], ux * f[0], uy * f[0], vx * f[1], vy * f[1]
 
 
-@njit
+@bare
 def project_tag(
     R_WC: Array, p_WC: Array, tags: MapArrays, i: int, lens: Lens, quad_n: Array, quad_px: Array,
     J: Array,
@@ -40,21 +38,19 @@ def project_tag(
 
     False, and nothing to rely on, where the camera cannot see its face.
     """
-    p = tags.p_WT[i]
+    p, R, corners = tags.p_WT[i], tags.R_WT[i], tags.corners_T[i]
     dx, dy, dz = p_WC[0] - p[0], p_WC[1] - p[1], p_WC[2] - p[2]
     z = -(R_WC[0, 2] * dx + R_WC[1, 2] * dy + R_WC[2, 2] * dz)
     if z < _NEAR:
         return False
-    R = tags.R_WT[i]
     height = R[0, 2] * dx + R[1, 2] * dy + R[2, 2] * dz
     if height < _MIN_COSINE * math.sqrt(dx * dx + dy * dy + dz * dz):
         return False
-    point = np.empty(6)
     for c in range(4):
-        X = tags.corners_T[i, c]
-        w0 = R[0, 0] * X[0] + R[0, 1] * X[1] + R[0, 2] * X[2] - dx
-        w1 = R[1, 0] * X[0] + R[1, 1] * X[1] + R[1, 2] * X[2] - dy
-        w2 = R[2, 0] * X[0] + R[2, 1] * X[1] + R[2, 2] * X[2] - dz
+        X0, X1, X2 = corners[c, 0], corners[c, 1], corners[c, 2]
+        w0 = R[0, 0] * X0 + R[0, 1] * X1 + R[0, 2] * X2 - dx
+        w1 = R[1, 0] * X0 + R[1, 1] * X1 + R[1, 2] * X2 - dy
+        w2 = R[2, 0] * X0 + R[2, 1] * X1 + R[2, 2] * X2 - dz
         cx = R_WC[0, 0] * w0 + R_WC[1, 0] * w1 + R_WC[2, 0] * w2
         cy = R_WC[0, 1] * w0 + R_WC[1, 1] * w1 + R_WC[2, 1] * w2
         cz = R_WC[0, 2] * w0 + R_WC[1, 2] * w1 + R_WC[2, 2] * w2
@@ -63,11 +59,10 @@ def project_tag(
         x, y = cx / cz, cy / cz
         if x * x + y * y >= lens.max_radius * lens.max_radius:
             return False
-        to_pixel(lens, x, y, point)
-        quad_n[c, 0], quad_n[c, 1] = x, y
-        quad_px[c, 0], quad_px[c, 1] = point[0], point[1]
+        u, v, ux, uy, vx, vy = to_pixel(lens, x, y)
+        quad_n[c, 0], quad_n[c, 1], quad_px[c, 0], quad_px[c, 1] = x, y, u, v
         for r in range(2):
-            jx, jy = point[2 + 2 * r], point[3 + 2 * r]
+            jx, jy = (ux, uy) if r == 0 else (vx, vy)
             a0, a1, a2 = jx / cz, jy / cz, -(jx * x + jy * y) / cz
             for k in range(3):
                 J[c, r, k] = -(a0 * R_WC[k, 0] + a1 * R_WC[k, 1] + a2 * R_WC[k, 2])
@@ -77,7 +72,32 @@ def project_tag(
     return True
 
 
-@njit
+@bare
+def may_be_seen(
+    R_WC: Array, p_WC: Array, tags: MapArrays, i: int, lens: Lens, min_side: float
+) -> bool:
+    """A quick look before `project_tag`: False only where tag i is no use for certain.
+
+    Its centre lies between its corners, hence within what the image shows if they do; no side can
+    be longer than the tag would look from straight above.
+    """
+    p = tags.p_WT[i]
+    dx, dy, dz = p[0] - p_WC[0], p[1] - p_WC[1], p[2] - p_WC[2]
+    z = R_WC[0, 2] * dx + R_WC[1, 2] * dy + R_WC[2, 2] * dz
+    if z < _NEAR:
+        return False
+    x = R_WC[0, 0] * dx + R_WC[1, 0] * dy + R_WC[2, 0] * dz
+    y = R_WC[0, 1] * dx + R_WC[1, 1] * dy + R_WC[2, 1] * dz
+    reach = lens.reach
+    if not (reach[0] * z <= x <= reach[1] * z and reach[2] * z <= y <= reach[3] * z):
+        return False
+    X = tags.corners_T[i, 1]
+    half = math.sqrt(X[0] * X[0] + X[1] * X[1])  # of a diagonal
+    longest = _STRETCH * half * max(lens.intrinsics[0], lens.intrinsics[1])
+    return bool(longest >= min_side * (z - half))
+
+
+@bare
 def laying_px(R_WC: Array, p_WC: Array, tags: MapArrays, i: int, lens: Lens) -> float:
     """How far a laying error of one sigma moves the corners of tag i in the image, about [px]."""
     s, X = tags.laying[i], tags.corners_T[i, 1]
@@ -91,29 +111,26 @@ def laying_px(R_WC: Array, p_WC: Array, tags: MapArrays, i: int, lens: Lens) -> 
     return float(math.sqrt(across + out_of_plane) * lens.intrinsics[0] / z)
 
 
-@njit
+@bare
 def corner_spread(J: Array, P: Array, out: Array) -> None:
     """Covariance of each corner [px^2] from the pose's: J (4, 2, 6), P (6, 6) -> out (4, 3).
 
     out: the entries uu, uv, vv.
     """
-    row = np.empty((2, 6))
     for c in range(4):
-        for r in range(2):
-            for k in range(6):
-                v = 0.0
-                for m in range(6):
-                    v += J[c, r, m] * P[m, k]
-                row[r, k] = v
         uu = uv = vv = 0.0
         for k in range(6):
-            uu += row[0, k] * J[c, 0, k]
-            uv += row[0, k] * J[c, 1, k]
-            vv += row[1, k] * J[c, 1, k]
+            row_u = row_v = 0.0
+            for m in range(6):
+                row_u += J[c, 0, m] * P[m, k]
+                row_v += J[c, 1, m] * P[m, k]
+            uu += row_u * J[c, 0, k]
+            uv += row_u * J[c, 1, k]
+            vv += row_v * J[c, 1, k]
         out[c, 0], out[c, 1], out[c, 2] = uu, uv, vv
 
 
-@njit
+@bare
 def largest_sigma(spread: Array) -> float:
     """Standard deviation along the worst direction of the worst corner; spread (4, 3) [px^2]."""
     worst = 0.0
@@ -124,7 +141,7 @@ def largest_sigma(spread: Array) -> float:
     return math.sqrt(max(worst, 0.0))
 
 
-@njit
+@bare
 def extent(quad_px: Array) -> tuple[float, float]:
     """Shortest side and least height of a quad (4, 2) across a side [px]."""
     d0x, d0y = quad_px[2, 0] - quad_px[0, 0], quad_px[2, 1] - quad_px[0, 1]
@@ -138,7 +155,7 @@ def extent(quad_px: Array) -> tuple[float, float]:
     return shortest, area / max(longest, 1e-9)
 
 
-@njit
+@bare
 def inside(quad_px: Array, lens: Lens, margin: float) -> bool:
     """Whether all four corners lie at least `margin` [px] within the image's rim."""
     for c in range(4):
@@ -214,6 +231,8 @@ def sides_in_view(R_WC: Array, p_WC: Array, tags: MapArrays, lens: Lens, sides: 
     quad_n, quad_px, J = np.empty((4, 2)), np.empty((4, 2)), np.empty((4, 2, 6))
     for i in range(len(tags.p_WT)):
         sides[i] = 0.0
+        if not may_be_seen(R_WC, p_WC, tags, i, lens, 0.0):
+            continue
         if project_tag(R_WC, p_WC, tags, i, lens, quad_n, quad_px, J) and inside(
             quad_px, lens, 0.0
         ):

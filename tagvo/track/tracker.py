@@ -10,17 +10,17 @@ from tagvo.camera import Camera
 from tagvo.records import Detections, PosePrior
 from tagvo.tagmap import TagMap
 from tagvo.track.cells import Gray, lens_of, map_arrays
+from tagvo.track.fit import FATES
 from tagvo.track.gate import (
     GateState,
     Strip,
+    admitted,
     decimate_needed,
     looks_mosaic,
-    prior_fault,
     strip_due,
-    symmetric,
     tracking_failed,
 )
-from tagvo.track.kernel import FATES, track_image
+from tagvo.track.kernel import track_image
 from tagvo.track.predict import sides_in_view
 from tagvo.track.settings import TrackConfig
 
@@ -74,13 +74,14 @@ class Tracker:
         search: the detector, for a strip of the image. Where tracking is not to be trusted the
         answer has no detections and says why in its counts.
         """
-        fault = prior_fault(prior, t_ns) or self._state.search_next
+        sound, fault = admitted(prior, t_ns)
+        fault = fault or self._state.search_next
         if fault is None and looks_mosaic(image):
             fault = "mosaic"
-        if fault is not None or prior is None:
+        if fault is not None or sound is None:
             self._state = replace(self._state, search_next=None)
             return Tracked(None, {f"search_{fault}": 1})
-        found, tried, counts = self._track(image, symmetric(prior))
+        found, tried, counts = self._track(image, sound)
         failed = "prior_too_wide" if tried < 0 else tracking_failed(len(found), tried, self.config)
         if failed is not None:
             return Tracked(None, {**counts, f"search_{failed}": 1}, max(tried, 0))
@@ -96,7 +97,7 @@ class Tracker:
 
         None: nothing is known; a prior too vague to track by still knows the size of tags.
         """
-        fault = prior_fault(prior, t_ns)
+        _, fault = admitted(prior, t_ns)
         if prior is None or fault not in (None, "prior_too_wide"):
             return None
         near = float(prior.cov[:3, :3].trace()) < _KNOWN_M**2
@@ -111,9 +112,7 @@ class Tracker:
         """Tags tracked, how many were tried (-1: the prior is too wide), fates of those lost."""
         fates = np.zeros(len(FATES), dtype=np.int64)
         k, tried, largest = track_image(
-            image, self._tags, self._size, self._lens,
-            np.ascontiguousarray(prior.R_WC, dtype=float),
-            np.ascontiguousarray(prior.p_WC, dtype=float), np.ascontiguousarray(prior.cov),
+            image, self._tags, self._size, self._lens, prior.R_WC, prior.p_WC, prior.cov,
             self._limits, self.config.max_tags, self._rows, self._corners, self._sigma,
             self._wrong, self._margin, fates,
         )  # fmt: skip

@@ -7,7 +7,8 @@ import math
 
 import numpy as np
 
-from tagvo.compiled import cholesky, njit
+from tagvo.camera import Point
+from tagvo.compiled import bare, cholesky, leaf
 from tagvo.geometry import Array
 from tagvo.track.cells import Cells, Gray, Lens
 from tagvo.track.edges import grey
@@ -18,10 +19,11 @@ _CLEAR = 0.15  # share of the contrast by which a cell must be on its side of th
 _LEVELS = 4  # unknowns of the light on a tag: mean, slopes in u and v, half the contrast
 _ACROSS_PX = 1.2  # how far on either side of an inner edge the light is looked at
 _OFF = 0.75  # mean response of inner edges, 0 aligned, 1 off by 1.2 px or more
+_FEW_EDGES = 4.0  # below, a mean says nothing
 _TOP, _NEAR_BEST = 2, 0.15  # steps around the best correlation, and how much worse is as good
 
 
-@njit
+@bare
 def unit_square(quad: Array, H: Array) -> bool:
     """Homography H (3, 3) from the unit square to a quad (4, 2) (Heckbert's closed form)."""
     sx = quad[0, 0] - quad[1, 0] + quad[2, 0] - quad[3, 0]
@@ -40,22 +42,22 @@ def unit_square(quad: Array, H: Array) -> bool:
     return True
 
 
-@njit
-def _place(H: Array, lens: Lens, u: float, v: float, point: Array) -> None:
+@leaf
+def _place(H: Array, lens: Lens, u: float, v: float) -> Point:
     """Pixel (and its derivatives, as `to_pixel`) of a place on the tag."""
     w = H[2, 0] * u + H[2, 1] * v + 1.0
     x = (H[0, 0] * u + H[0, 1] * v + H[0, 2]) / w
     y = (H[1, 0] * u + H[1, 1] * v + H[1, 2]) / w
-    to_pixel(lens, x, y, point)
+    return to_pixel(lens, x, y)
 
 
-@njit
+@leaf
 def _within(image: Gray, u: float, v: float, margin: float) -> bool:
     h, w = image.shape
     return bool(margin <= u < w - 1.0 - margin and margin <= v < h - 1.0 - margin)
 
 
-@njit
+@bare
 def cell_light(
     image: Gray, lens: Lens, H: Array, cells: Cells, border: int, reach_px: float, light: Array
 ) -> int:
@@ -64,14 +66,14 @@ def cell_light(
     reach_px: the mean of five samples in a cross of this size, 0: the centre alone.
     """
     c = len(cells)
-    pad, point, count = 0.5 * (c - border), np.empty(6), 0
+    pad, count = 0.5 * (c - border), 0
     for i in range(c):
         for j in range(c):
             light[i, j] = np.nan
             if cells[i, j] == 0:
                 continue
-            _place(H, lens, (j + 0.5 - pad) / border, (i + 0.5 - pad) / border, point)
-            u, v = point[0], point[1]
+            place = _place(H, lens, (j + 0.5 - pad) / border, (i + 0.5 - pad) / border)
+            u, v = place[0], place[1]
             if not _within(image, u, v, reach_px):
                 continue
             value = grey(image, u, v)
@@ -85,37 +87,45 @@ def cell_light(
     return count
 
 
-@njit
-def fit_light(light: Array, cells: Cells, model: Array) -> bool:
-    """Least squares light = m0 + m1 j + m2 i + m3 cell over the cells seen; model (4,)."""
+@bare
+def fit_light(light: Array, cells: Cells, model: Array, A: Array) -> bool:
+    """Least squares light = m0 + m1 j + m2 i + m3 cell over the cells seen; model (4,).
+
+    A (4, 4): scratch.
+    """
     c = len(cells)
-    A, b, x = np.zeros((_LEVELS, _LEVELS)), np.zeros(_LEVELS), np.empty(_LEVELS)
+    n = x = y = s = xx = xy = xs = yy = ys = ss = bn = bx = by = bs = 0.0
     middle = 0.5 * (c - 1)
     for i in range(c):
         for j in range(c):
-            if cells[i, j] != 0 and not np.isnan(light[i, j]):
-                x[0], x[1], x[2], x[3] = 1.0, (j - middle) / c, (i - middle) / c, cells[i, j]
-                for m in range(_LEVELS):
-                    b[m] += x[m] * light[i, j]
-                    for n in range(_LEVELS):
-                        A[m, n] += x[m] * x[n]
+            value, cell = light[i, j], float(cells[i, j])
+            if cell == 0.0 or value != value:
+                continue
+            u, v = (j - middle) / c, (i - middle) / c
+            n, x, y, s = n + 1.0, x + u, y + v, s + cell
+            xx, xy, xs = xx + u * u, xy + u * v, xs + u * cell
+            yy, ys, ss = yy + v * v, ys + v * cell, ss + cell * cell
+            bn, bx, by, bs = bn + value, bx + u * value, by + v * value, bs + cell * value
+    A[0, 0], A[1, 0], A[2, 0], A[3, 0] = n, x, y, s
+    A[1, 1], A[2, 1], A[3, 1] = xx, xy, xs
+    A[2, 2], A[3, 2], A[3, 3] = yy, ys, ss
     for m in range(_LEVELS):
         A[m, m] += 1e-6
     if not cholesky(A):
         return False
+    model[0], model[1], model[2], model[3] = bn, bx, by, bs
     for m in range(_LEVELS):
-        for n in range(m):
-            b[m] -= A[m, n] * b[n]
-        b[m] /= A[m, m]
+        for k in range(m):
+            model[m] -= A[m, k] * model[k]
+        model[m] /= A[m, m]
     for m in range(_LEVELS - 1, -1, -1):
-        for n in range(m + 1, _LEVELS):
-            b[m] -= A[n, m] * b[n]
-        b[m] /= A[m, m]
-    model[:] = b
+        for k in range(m + 1, _LEVELS):
+            model[m] -= A[k, m] * model[k]
+        model[m] /= A[m, m]
     return True
 
 
-@njit
+@bare
 def wrong_cells(light: Array, cells: Cells, model: Array) -> tuple[int, float]:
     """Cells that read wrong, or hardly right, by a fitted light; and the mean clearance [grey].
 
@@ -141,7 +151,7 @@ def wrong_cells(light: Array, cells: Cells, model: Array) -> tuple[int, float]:
     return wrong, min(white / max(whites, 1.0), black / max(blacks, 1.0))
 
 
-@njit
+@bare
 def inner_edges_off(
     image: Gray, lens: Lens, H: Array, cells: Cells, border: int, model: Array
 ) -> float:
@@ -151,56 +161,65 @@ def inner_edges_off(
     sense; means over the left and right, and the upper and lower half of the tag, so that a
     stretched fit shows as well as a shifted one. -> the largest of them.
     """
-    c = len(cells)
-    pad, middle, point = 0.5 * (c - border), 0.5 * (c - 1), np.empty(6)
-    sums, counts = np.zeros((2, 2)), np.zeros((2, 2))
-    for axis in range(2):
-        for i in range(c):
-            for j in range(c - 1):
-                r, q = (i, j) if axis == 0 else (j, i)
-                r2, q2 = (i, j + 1) if axis == 0 else (j + 1, i)
-                if cells[r, q] * cells[r2, q2] >= 0:
-                    continue
-                x, y = 0.5 * (q + q2), 0.5 * (r + r2)
-                _place(H, lens, (x + 0.5 - pad) / border, (y + 0.5 - pad) / border, point)
-                if not _within(image, point[0], point[1], 2.0):
-                    continue
-                value = _around(image, H, axis, point)
-                level = model[0] + model[1] * (x - middle) / c + model[2] * (y - middle) / c
-                sign = cells[r2, q2]
-                half = 0 if (x if axis == 0 else y) < middle else 1
-                sums[axis, half] += sign * (value - level) / max(model[3], 1e-6)
-                counts[axis, half] += 1.0
     worst = 0.0
     for axis in range(2):
-        for half in range(2):
-            if counts[axis, half] >= 4.0:
-                worst = max(worst, abs(sums[axis, half]) / counts[axis, half])
+        low, high = _edges_off(image, lens, H, cells, border, model, axis)
+        worst = max(worst, low, high)
     return worst
 
 
-@njit
-def _around(image: Gray, H: Array, axis: int, point: Array) -> float:
+@bare
+def _edges_off(
+    image: Gray, lens: Lens, H: Array, cells: Cells, border: int, model: Array, axis: int
+) -> tuple[float, float]:
+    """As `inner_edges_off`, of the edges across one axis: in its lower and in its upper half."""
+    c = len(cells)
+    pad, middle = 0.5 * (c - border), 0.5 * (c - 1)
+    sum_low = sum_high = low = high = 0.0
+    contrast = max(model[3], 1e-6)
+    for i in range(c):
+        for j in range(c - 1):
+            r, q = (i, j) if axis == 0 else (j, i)
+            r2, q2 = (i, j + 1) if axis == 0 else (j + 1, i)
+            sign = float(cells[r2, q2])
+            if cells[r, q] * cells[r2, q2] >= 0:
+                continue
+            x, y = 0.5 * (q + q2), 0.5 * (r + r2)
+            place = _place(H, lens, (x + 0.5 - pad) / border, (y + 0.5 - pad) / border)
+            if not _within(image, place[0], place[1], 2.0):
+                continue
+            level = model[0] + model[1] * (x - middle) / c + model[2] * (y - middle) / c
+            answer = sign * (_around(image, H, axis, place) - level) / contrast
+            if (x if axis == 0 else y) < middle:
+                sum_low, low = sum_low + answer, low + 1.0
+            else:
+                sum_high, high = sum_high + answer, high + 1.0
+    off_low = abs(sum_low) / low if low >= _FEW_EDGES else 0.0
+    off_high = abs(sum_high) / high if high >= _FEW_EDGES else 0.0
+    return off_low, off_high
+
+
+@leaf
+def _around(image: Gray, H: Array, axis: int, place: Point) -> float:
     """Mean grey value at a pixel and 1.2 px to either side of it along the tag's x or y axis."""
-    du = point[2] * H[0, axis] + point[3] * H[1, axis]
-    dv = point[4] * H[0, axis] + point[5] * H[1, axis]
+    u, v, ux, uy, vx, vy = place
+    du, dv = ux * H[0, axis] + uy * H[1, axis], vx * H[0, axis] + vy * H[1, axis]
     k = _ACROSS_PX / max(math.sqrt(du * du + dv * dv), 1e-9)
     du, dv = k * du, k * dv
-    u, v = point[0], point[1]
     total = grey(image, u - du, v - dv) + grey(image, u, v) + grey(image, u + du, v + dv)
     return float(total / 3.0)
 
 
-@njit
+@bare
 def is_there(
     image: Gray, lens: Lens, quad_n: Array, cells: Cells, border: int, cell_px: float,
-    min_contrast: float, max_errors: int, light: Array,
+    min_contrast: float, max_errors: int, light: Array, small: Array,
 ) -> tuple[int, float]:  # fmt: skip
     """Wrong cells and margin of the tag in a quad (4, 2) [normalised]; -1: it is not this tag.
 
-    cell_px: width of a cell; light (c, c): scratch.
+    cell_px: width of a cell; light (c, c), small (8, 4): scratch.
     """
-    H, model = np.empty((3, 3)), np.empty(_LEVELS)
+    H, model, A = small[:3, :3], small[3], small[4:]
     if not unit_square(quad_n, H):
         return -1, 0.0
     promised = 0
@@ -208,7 +227,7 @@ def is_there(
         for j in range(len(cells)):
             promised += 1 if cells[i, j] != 0 else 0
     seen = cell_light(image, lens, H, cells, border, _reach(cell_px), light)
-    if seen < _MIN_SEEN * promised or not fit_light(light, cells, model):
+    if seen < _MIN_SEEN * promised or not fit_light(light, cells, model, A):
         return -1, 0.0
     if model[3] < 0.5 * min_contrast:
         return -1, 0.0
@@ -219,43 +238,45 @@ def is_there(
     return wrong, margin
 
 
-@njit
+@bare
 def _reach(cell_px: float) -> float:
     """Size of the cross that reads a cell: none in small cells, where its arms would leave it."""
     return min(0.25 * cell_px, 3.0) if cell_px > 4.0 else 0.0
 
 
-@njit
+@bare
 def find_pattern(
     image: Gray, lens: Lens, quad_n: Array, cells: Cells, border: int, step: float, radius: float,
-    shift: Array,
+    shift: Array, at: Array, score: Array, small: Array,
 ) -> float:  # fmt: skip
     """Where the print is, shifted in the image, by the correlation of its cells; -> the best one.
 
     quad_n (4, 2): predicted corners; all shifts within `radius` [px] at this step [px], each cell
-    by the nearest pixel to its centre; shift (2,) [px] receives the
-    best, the middle of those nearly as good around it.
+    by the nearest pixel to its centre; shift (2,) [px] receives the best, the middle of those
+    nearly as good around it. at (c * c, 3), score (k, k), small (8, 4): scratch; k bounds the
+    steps.
     """
-    c, H, point = len(cells), np.empty((3, 3)), np.empty(6)
+    c, H = len(cells), small[:3, :3]
     shift[:] = 0.0
     if not unit_square(quad_n, H):
         return -1.0
-    at, sign, m = np.empty((c * c, 2)), np.empty(c * c), 0
-    pad = 0.5 * (c - border)
+    m, pad = 0, 0.5 * (c - border)
     for i in range(c):
         for j in range(c):
             if cells[i, j] != 0:
-                _place(H, lens, (j + 0.5 - pad) / border, (i + 0.5 - pad) / border, point)
-                at[m, 0], at[m, 1], sign[m] = point[0], point[1], cells[i, j]
+                place = _place(H, lens, (j + 0.5 - pad) / border, (i + 0.5 - pad) / border)
+                at[m, 0], at[m, 1], at[m, 2] = place[0], place[1], float(cells[i, j])
                 m += 1
-    n = math.ceil(radius / step)
-    score = np.full((2 * n + 3, 2 * n + 3), -1.0)
+    n = min(math.ceil(radius / step), (len(score) - 3) // 2)
+    for i in range(2 * n + 3):
+        for j in range(2 * n + 3):
+            score[i, j] = -1.0
     best, bi, bj = -1.0, n, n
     for i in range(-n, n + 1):
         for j in range(-n, n + 1):
             if i * i + j * j > (n + 0.5) * (n + 0.5):
                 continue
-            value = _correlation(image, at, sign, m, j * step, i * step)
+            value = _correlation(image, at, m, j * step, i * step)
             score[i + n + 1, j + n + 1] = value
             if value > best:
                 best, bi, bj = value, i + n, j + n
@@ -273,21 +294,24 @@ def find_pattern(
     return best
 
 
-@njit
-def _correlation(image: Gray, at: Array, sign: Array, m: int, du: float, dv: float) -> float:
-    """Normalised correlation of m cells with the image under a shift; -1: too few inside."""
+@leaf
+def _correlation(image: Gray, at: Array, m: int, du: float, dv: float) -> float:
+    """Normalised correlation of m cells with the image under a shift; -1: too few inside.
+
+    at (m, 3): pixel and sign of each.
+    """
     h, w = image.shape
     n = s = ss = p = pp = ps = 0.0
     for k in range(m):
         x, y = at[k, 0] + du + 0.5, at[k, 1] + dv + 0.5
         if 0.0 <= x < w and 0.0 <= y < h:
-            g = float(image[np.uintp(y), np.uintp(x)])
+            g, sign = float(image[np.uintp(y), np.uintp(x)]), at[k, 2]
             n += 1.0
             s += g
             ss += g * g
-            p += sign[k]
+            p += sign
             pp += 1.0
-            ps += sign[k] * g
+            ps += sign * g
     if n < _MIN_SEEN * m:
         return -1.0
     a, b = ss - s * s / n, pp - p * p / n

@@ -18,12 +18,12 @@ from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, PosePrior
 from tagvo.render import Look, render_view
 from tagvo.track import TrackConfig, Tracker
-from tagvo.track.cells import Lens, lens_of, map_arrays, printed_cells
+from tagvo.track.cells import FLAT, Lens, lens_of, map_arrays, printed_cells
 from tagvo.track.gate import (
     GateState,
+    admitted,
     decimate_needed,
     looks_mosaic,
-    prior_fault,
     strip_due,
     tracking_failed,
 )
@@ -143,7 +143,9 @@ def test_tracked_corners_are_the_exact_projection(height):
     assert 0.4 < np.sqrt(np.mean((error / sigma[..., None]) ** 2)) < 1.5
 
 
-FLAT = Lens(0, np.array([1.0, 1.0, 0.0, 0.0]), np.zeros(8), np.array([400.0, 400.0]), 1e6)
+ON_PIXELS = Lens(
+    FLAT, np.zeros(4), np.zeros(8), np.array([400.0, 400.0]), 1e6, np.array([0.0, 399.0] * 2)
+)
 
 
 def reads_as(picture, cells, border, max_errors=0):
@@ -152,7 +154,9 @@ def reads_as(picture, cells, border, max_errors=0):
     pad = 16 - 0.5 + 8 * (n - border) / 2
     a, b = pad, pad + 8 * border
     quad = np.array([[a, a], [b, a], [b, b], [a, b]])
-    return is_there(picture, FLAT, quad, cells, border, 8.0, 10.0, max_errors, np.empty((n, n)))[0]
+    light, small = np.empty((n, n)), np.empty((8, 4))
+    read = is_there(picture, ON_PIXELS, quad, cells, border, 8.0, 10.0, max_errors, light, small)
+    return read[0]
 
 
 def printed(bitmap):
@@ -210,11 +214,38 @@ BAD = {
 def test_a_bad_prior_is_counted_and_the_image_searched_whole(cause):
     image, R_WC, p_WC, _ = view(5)
     prior = BAD[cause](prior_of(R_WC, p_WC))
-    assert prior_fault(prior, 0) == cause
+    assert admitted(prior, 0) == (None, cause)
     trace = TagVO(CAMERA, MAP, TRACK).trace(Frame(0, image), prior)
     assert trace.counts[f"search_{cause}"] == 1
     assert "tracked_frames" not in trace.counts
     assert np.linalg.norm(trace.pose.p_WC - p_WC) < 0.005
+
+
+def test_an_admitted_prior_is_the_nearest_rotation_and_exactly_symmetric():
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        R_WC = geo.exp(rng.standard_normal(3)) + 1e-4 * rng.standard_normal((3, 3))
+        A = 1e-2 * rng.standard_normal((6, 6))
+        cov = A @ A.T + 1e-9 * rng.standard_normal((6, 6)) + 1e-8 * np.eye(6)
+        sound, fault = admitted(PosePrior(0, rng.standard_normal(3), R_WC, cov), 0)
+        assert fault is None
+        np.testing.assert_allclose(sound.R_WC, geo.project_to_so3(R_WC), atol=1e-13)
+        np.testing.assert_array_equal(sound.cov, sound.cov.T)
+        np.testing.assert_allclose(sound.cov, 0.5 * (cov + cov.T), rtol=1e-15)
+
+
+@pytest.mark.parametrize("share", [0.98, 1.02])
+def test_a_rotation_may_be_unsure_by_six_degrees_in_any_direction(share):
+    """The largest eigenvalue, against NumPy's, just within and just beyond the limit."""
+    rng = np.random.default_rng(3)
+    for spectrum in ([1.0, 0.1, 0.1], [1.0, 1.0, 0.2], [1.0, 1.0, 1.0], [1.0, 1e-6, 1e-3]):
+        Q = geo.exp(rng.standard_normal(3))
+        cov = 1e-4 * np.eye(6)
+        cov[3:, 3:] = share * np.radians(6.0) ** 2 * Q @ np.diag(spectrum) @ Q.T
+        wide = np.linalg.eigvalsh(cov[3:, 3:])[-1] > np.radians(6.0) ** 2
+        assert wide == (share > 1.0)
+        fault = admitted(PosePrior(0, np.zeros(3), np.eye(3), cov), 0)[1]
+        assert fault == ("prior_too_wide" if wide else None)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,264 @@
+"""Fits one tag to the image about where it is expected, and makes sure that it is this one.
+
+Compiled; nothing here allocates: what is written on comes as a `Scratch`.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from tagvo.compiled import bare, leaf, njit
+from tagvo.geometry import Array, BoolArray
+from tagvo.track.cells import FLAT, Gray, Lens, MapArrays
+from tagvo.track.edges import MAX_SCANS, MAX_STEPS, WORK, cross_sides, fit_side, line_variance
+from tagvo.track.predict import extent, to_pixel
+from tagvo.track.verify import find_pattern, is_there
+
+# what became of a tag that was tried
+TRACKED, NO_PATTERN, NO_EDGE, MOVED, NOT_IT, OUTLIER = 0, 1, 2, 3, 4, 5
+FATES = ("tracked", "no_pattern", "no_edge", "moved", "bits", "outlier")
+
+_SIGMAS = 3.0  # of the prediction that are searched
+_SLACK_PX = 0.6  # what the prediction does not know: residual distortion, rolling shutter
+_SAFE = 0.9  # cells: within this an edge cannot be taken for the next one of its sense
+_NEARLY_SAFE = 1.4  # cells: an edge is looked for within _SAFE first, by the print if that fails
+_SCAN_PX, _SETTLED_PX = 1.5, 0.4  # between scans of the last rounds; what makes another round idle
+_BLURRED_PX = 0.6  # spread of an edge from which neighbouring edges bleed into its ends
+_STRAIGHT_PX = 40.0  # sides up to this bend by less than a tenth of a pixel in any usual lens
+_MIN_CORRELATION = 0.55
+_SHARP_PX = 0.55  # spread of a sharp edge, as in `tagvo.detect.blur`
+_BLEED = 10.5  # systematic error of a blurred corner, as there
+_FLOOR_PX = 0.03  # of a fitted corner: what no residual shows
+
+
+class Scratch(NamedTuple):
+    """What the kernels write on, of one thread.
+
+    scans (WORK, MAX_STEPS), good (MAX_SCANS,): of `fit_side`; lines (4, 7), widths (4,): of a tag's
+    sides; nodes (4, 6): `to_pixel` of its corners; start, was, out (4, 2): corners; light (c, c),
+    small (8, 4): of `is_there`; at (c * c, 3), score (k, k), shift (2,): of `find_pattern`; J
+    (4, 2, 6), spread (4, 3): of a prediction.
+    """
+
+    scans: Array
+    good: BoolArray
+    lines: Array
+    widths: Array
+    nodes: Array
+    start: Array
+    was: Array
+    out: Array
+    light: Array
+    small: Array
+    at: Array
+    score: Array
+    shift: Array
+    J: Array
+    spread: Array
+
+
+@njit
+def scratch(c: int, max_sigma_px: float) -> Scratch:
+    """Scratch for tags of c by c cells, predicted to a sigma."""
+    k = 2 * math.ceil(_SIGMAS * max_sigma_px + _SLACK_PX + 2.0) + 3
+    return Scratch(
+        np.empty((WORK, MAX_STEPS)), np.empty(MAX_SCANS, dtype=np.bool_), np.empty((4, 7)),
+        np.empty(4), np.empty((4, 6)), np.empty((4, 2)), np.empty((4, 2)), np.empty((4, 2)),
+        np.empty((c, c)), np.empty((8, 4)), np.empty((c * c, 3)), np.empty((k, k)), np.empty(2),
+        np.empty((4, 2, 6)), np.empty((4, 3)),
+    )  # fmt: skip
+
+
+@bare
+def _fit_round(
+    image: Gray, lens: Lens, sense: float, quad_n: Array, most: float, scans: int, pitch: float,
+    wide: bool, s: Scratch,
+) -> bool:  # fmt: skip
+    """All four sides once about quad_n (4, 2): s.lines, new corners s.out.
+
+    wide: search within `most` [px]; else within as much as the width of the edge asks, s.widths
+    [px], but no more. s.nodes: `to_pixel` of quad_n.
+    """
+    lines, widths, out, nodes = s.lines, s.widths, s.out, s.nodes
+    for k in range(4):
+        a, b, band = quad_n[k], quad_n[(k + 1) % 4], most
+        sharp = not wide and widths[k] < _BLURRED_PX
+        if not wide:
+            band = min(max(2.5 * widths[k] + 0.6, 1.8), most)
+        if not fit_side(
+            image,
+            lens,
+            a,
+            b,
+            nodes[k],
+            nodes[(k + 1) % 4],
+            sense,
+            band,
+            scans,
+            pitch,
+            wide,
+            sharp,
+            lines[k],
+            s.scans,
+            s.good,
+        ):
+            return False
+    return cross_sides(quad_n, lines, out)
+
+
+@leaf
+def _put(source: Array, out: Array) -> None:
+    """Copy corners (4, 2 and more) to out (4, 2); a slice would copy twice, for fear of overlap."""
+    for c in range(4):
+        out[c, 0], out[c, 1] = source[c, 0], source[c, 1]
+
+
+@bare
+def _to_pixels(lens: Lens, quad_n: Array, nodes: Array) -> None:
+    for c in range(4):
+        nodes[c, 0], nodes[c, 1], nodes[c, 2], nodes[c, 3], nodes[c, 4], nodes[c, 5] = to_pixel(
+            lens, quad_n[c, 0], quad_n[c, 1]
+        )
+
+
+@bare
+def _shifted(lens: Lens, quad_n: Array, shift: Array) -> None:
+    """Move corners by a shift in the image [px], in place."""
+    for c in range(4):
+        _, _, ux, uy, vx, vy = to_pixel(lens, quad_n[c, 0], quad_n[c, 1])
+        det = ux * vy - uy * vx
+        quad_n[c, 0] += (vy * shift[0] - uy * shift[1]) / det
+        quad_n[c, 1] += (ux * shift[1] - vx * shift[0]) / det
+
+
+@bare
+def _corner_sigmas(lines: Array, quad_px: Array, cell_px: float, sigma: Array) -> None:
+    """Standard deviation of each corner per axis [px] from its two sides, into sigma (4,)."""
+    before = _side_variance(lines[3], quad_px[3], quad_px[0], cell_px)
+    for c in range(4):
+        k, d = (c + 3) % 4, (c + 1) % 4
+        after = _side_variance(lines[c], quad_px[c], quad_px[d], cell_px)
+        ux, uy = quad_px[c, 0] - quad_px[k, 0], quad_px[c, 1] - quad_px[k, 1]
+        vx, vy = quad_px[d, 0] - quad_px[c, 0], quad_px[d, 1] - quad_px[c, 1]
+        sine = abs(ux * vy - uy * vx) / (math.hypot(ux, uy) * math.hypot(vx, vy))
+        mean = 0.5 * (before + after) / max(sine * sine, 0.01)
+        sigma[c] = math.sqrt(mean + _FLOOR_PX * _FLOOR_PX)
+        before = after
+
+
+@bare
+def _side_variance(line: Array, a: Array, b: Array, cell_px: float) -> float:
+    """Variance of a fitted side at its ends a, b (2,) [px^2]; line (7,) of `fit_side`."""
+    rms, spread = line[2], line[3]
+    bleed = _BLEED * spread * (spread / cell_px) ** 3
+    scatter = max(rms, 0.02 * max(spread / _SHARP_PX, 1.0))
+    length = math.hypot(b[0] - a[0], b[1] - a[1])
+    return float(line_variance(scatter, line[6], length) + bleed * bleed)
+
+
+@bare
+def track_tag(
+    image: Gray, tags: MapArrays, i: int, lens: Lens, quad_n: Array, cell_px: float,
+    sigma_px: float, limits: Array, quad_px: Array, corner_sigma: Array, s: Scratch,
+) -> tuple[int, int, float]:  # fmt: skip
+    """Find tag i about its predicted corners quad_n (4, 2), which are moved to where it is.
+
+    cell_px: width of a cell; sigma_px: of the prediction; limits: [min_contrast, max_errors].
+    Writes quad_px (4, 2) and corner_sigma (4,); -> its fate, wrong cells, margin.
+    """
+    band = _SIGMAS * sigma_px + _SLACK_PX
+    _put(quad_n, s.start)
+    fate, wrong, margin = NO_EDGE, 0, 0.0
+    if band <= _NEARLY_SAFE * cell_px:
+        reach = min(band, max(_SAFE * cell_px, 1.5))
+        fate = _fit_tag(image, tags.sense, lens, quad_n, cell_px, reach, quad_px, s)
+        if fate == TRACKED:
+            wrong, margin = _check(image, tags, i, lens, quad_n, quad_px, cell_px, limits, s)
+            fate = NOT_IT if wrong < 0 else TRACKED
+    if fate != TRACKED and band > _SAFE * cell_px:
+        _put(s.start, quad_n)
+        fate = _by_pattern(image, tags, i, lens, quad_n, cell_px, band, quad_px, s)
+        if fate == TRACKED:
+            wrong, margin = _check(image, tags, i, lens, quad_n, quad_px, cell_px, limits, s)
+            fate = NOT_IT if wrong < 0 else TRACKED
+    if fate == TRACKED:
+        _corner_sigmas(s.lines, quad_px, cell_px, corner_sigma)
+    return fate, max(wrong, 0), margin
+
+
+@bare
+def _by_pattern(
+    image: Gray, tags: MapArrays, i: int, lens: Lens, quad_n: Array, cell_px: float, band: float,
+    quad_px: Array, s: Scratch,
+) -> int:  # fmt: skip
+    """As `_fit_tag`, about where the correlation of the cells puts the tag."""
+    shift, step = s.shift, max(0.4 * cell_px, 1.0)
+    found = find_pattern(
+        image, lens, quad_n, tags.cells[i], tags.border, step, band + step, shift, s.at, s.score,
+        s.small,
+    )  # fmt: skip
+    if found < _MIN_CORRELATION:
+        return NO_PATTERN
+    _shifted(lens, quad_n, shift)
+    reach = max(0.6 * cell_px, 1.5)
+    return _fit_tag(image, tags.sense, lens, quad_n, cell_px, reach, quad_px, s)
+
+
+@bare
+def _fit_tag(
+    image: Gray, sense: float, lens: Lens, quad_n: Array, cell_px: float, band: float,
+    quad_px: Array, s: Scratch,
+) -> int:  # fmt: skip
+    """Fit the sides about quad_n, first within `band` [px], then as narrow as the blur allows."""
+    _to_pixels(lens, quad_n, s.nodes)
+    _put(s.nodes, s.was)
+    if not _fit_round(image, lens, sense, quad_n, band, 8, 0.8, True, s):
+        return NO_EDGE
+    _put(s.out, quad_n)
+    for k in range(4):
+        s.widths[k] = s.lines[k, 3]
+    most = max(0.85 * cell_px, 1.5)
+    scans = min(max(int(0.76 * extent(s.was)[0] / _SCAN_PX), 8), MAX_SCANS)
+    _to_pixels(lens, quad_n, s.nodes)
+    for _ in range(3):
+        if not _fit_round(image, lens, sense, quad_n, most, scans, 0.6, False, s):
+            return NO_EDGE
+        _put(s.out, quad_n)
+        _to_pixels(lens, quad_n, s.nodes)
+        if _farthest(s.lines) < _SETTLED_PX:
+            break
+    _put(s.nodes, quad_px)
+    for c in range(4):
+        moved = math.hypot(quad_px[c, 0] - s.was[c, 0], quad_px[c, 1] - s.was[c, 1])
+        if moved > 1.5 * band + 1.0:
+            return MOVED
+    return TRACKED
+
+
+@bare
+def _farthest(lines: Array) -> float:
+    """How far the last round has moved the end of a side [px]."""
+    worst = 0.0
+    for k in range(4):
+        worst = max(worst, max(abs(lines[k, 0]), abs(lines[k, 1])) * lines[k, 5])
+    return worst
+
+
+@bare
+def _check(
+    image: Gray, tags: MapArrays, i: int, lens: Lens, quad_n: Array, quad_px: Array,
+    cell_px: float, limits: Array, s: Scratch,
+) -> tuple[int, float]:  # fmt: skip
+    """Wrong cells and margin, as `is_there`; the lens is left out where a tag is small."""
+    errors = int(limits[1])
+    if cell_px * tags.border < _STRAIGHT_PX:
+        flat = Lens(FLAT, lens.intrinsics, lens.coeffs, lens.size, lens.max_radius, lens.reach)
+        return is_there(
+            image, flat, quad_px, tags.cells[i], tags.border, cell_px, limits[0], errors, s.light,
+            s.small,
+        )  # fmt: skip
+    return is_there(
+        image, lens, quad_n, tags.cells[i], tags.border, cell_px, limits[0], errors, s.light,
+        s.small,
+    )  # fmt: skip
