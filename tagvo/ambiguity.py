@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.compiled import njit
+from tagvo.compiled import bare, njit
 from tagvo.geometry import Array, IntArray
 from tagvo.records import PosePrior
 
@@ -44,7 +44,7 @@ def camera_candidates(
     return R, p, depth
 
 
-@njit
+@bare
 def _distance2(R_a: Array, p_a: Array, R_b: Array, p_b: Array, depth: float) -> float:
     """Squared disagreement of two camera poses: chord of the rotation [rad] and shift / depth."""
     trace, shift = 0.0, 0.0
@@ -83,11 +83,12 @@ def _vote(R: Array, p: Array, depth: Array, gap: Array, area_px: Array) -> IntAr
     branch = np.zeros(n, dtype=np.int64)
     d = max(depth[best_t, best_s], 1e-3)
     for u in range(n):
-        votes = np.empty(2)
+        most = -1.0
         for k in range(2):
             d2 = _distance2(R[best_t, best_s], p[best_t, best_s], R[u, k], p[u, k], d)
-            votes[k] = likelihood[u, k] / (1.0 + d2 * scale)
-        branch[u] = 1 if votes[1] > votes[0] else 0
+            vote = likelihood[u, k] / (1.0 + d2 * scale)
+            if vote > most:
+                most, branch[u] = vote, k
     return branch
 
 

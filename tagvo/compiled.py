@@ -155,7 +155,7 @@ def rotated(R: Array, phi: Array, out: Array) -> None:
         out[i, 2] = r0 * e02 + r1 * e12 + r2 * e22
 
 
-@njit
+@bare
 def quaternion(R: Array, q: Array) -> None:
     """Unit quaternion wxyz of a rotation matrix (3, 3) into q (4,); its sign is free (Shepperd)."""
     t = R[0, 0] + R[1, 1] + R[2, 2]

@@ -1,6 +1,7 @@
 """Turns the fused or the joint pose into the measurement, and says where it is undecided."""
 
 from dataclasses import dataclass, replace
+from statistics import median
 
 import numpy as np
 
@@ -128,7 +129,7 @@ def measure_joint(
     if rival is not None and gap < DECISIVE:
         cov = with_doubt(cov, (joint.R_WC, joint.p_WC), (rival.R_WC, rival.p_WC), gap)
         flags.add("ambiguous")
-    contradicted = float(np.median(joint.chi2)) > _CONTRADICTION
+    contradicted = median(joint.chi2.tolist()) > _CONTRADICTION
     if not joint.converged or contradicted or used.sum() < 0.5 * len(used):
         flags.add("degraded")
     return _measurement(t_ns, (joint.R_WC, joint.p_WC), cov, tag_ids[used], flags)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tagvo.compiled import backward, cholesky, forward, njit, rotated
+from tagvo.compiled import backward, bare, cholesky, forward, njit, rotated
 from tagvo.geometry import Array
 from tagvo.information import TagBatch, residual_factor, tag_rows
 
@@ -18,7 +18,7 @@ _WIDE, _STAGES = 3.0, 6
 
 
 class Work(NamedTuple):
-    """Scratch of one solution: per-tag factors (n, 8, 8), chi2 (n,), weight (n,), rows, L, H, g."""
+    """Scratch of one solution: a factor (n, 8, 8), chi2 (n,), weight (n,) a tag, and small ones."""
 
     factors: Array
     chi2: Array
@@ -27,19 +27,22 @@ class Work(NamedTuple):
     L: Array
     H: Array
     g: Array
+    small: Array
 
 
-@njit
+@bare
 def evaluate(R: Array, p: Array, tags: TagBatch, limit: float, anew: bool, work: Work) -> float:
     """Robust cost at a pose, infinite where a tag is behind; writes H, g, chi2 and weight.
 
     anew: factorise each tag's residual covariance at this pose first.
     """
     cost, rows, H, g = 0.0, work.rows, work.H, work.g
-    H[:] = 0.0
-    g[:] = 0.0
+    for a in range(6):
+        g[a] = 0.0
+        for b in range(6):
+            H[a, b] = 0.0
     for i in range(len(work.chi2)):
-        if not tag_rows(R, p, tags, i, rows, work.L):
+        if not tag_rows(R, p, tags, i, rows, work.L, work.small):
             return np.inf
         factor = work.factors[i]
         if anew and not residual_factor(work.L, tags.laying[i], tags.sigma_px[i], factor):
@@ -89,7 +92,9 @@ def step(R: Array, p: Array, work: Work, damping: float, R_new: Array, p_new: Ar
 @njit
 def _on_factors(other: Work, work: Work) -> Work:
     """`other` with the factors of `work`: the same residual covariances, room for a second pose."""
-    return Work(work.factors, other.chi2, other.weight, other.rows, other.L, other.H, other.g)
+    return Work(
+        work.factors, other.chi2, other.weight, other.rows, other.L, other.H, other.g, other.small
+    )
 
 
 @njit

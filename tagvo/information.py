@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, NonNegativeFloat
 
 from tagvo import reprojection
-from tagvo.compiled import cholesky, inverse_spd, njit
+from tagvo.compiled import bare, cholesky, inverse_spd, njit
 from tagvo.geometry import Array, IntArray
 
 SYSTEMATIC = 3  # focal length, principal point u, principal point v
@@ -43,16 +43,18 @@ class TagBatch(NamedTuple):
     floor: Array
 
 
-@njit
-def tag_rows(R_WC: Array, p_WC: Array, tags: TagBatch, i: int, rows: Array, L: Array) -> bool:
+@bare
+def tag_rows(
+    R_WC: Array, p_WC: Array, tags: TagBatch, i: int, rows: Array, L: Array, small: Array
+) -> bool:
     """Residual and Jacobians of tag i at a camera pose, before whitening.
 
     Writes rows (8, 7): [r, d pixel / d [p_WC in W, right rotation in C]] and L (8, 6):
-    d pixel / d laying error in T. False: a corner is not in front of the camera.
+    d pixel / d laying error in T; small (16, 3): scratch. False: a corner is not in front of the
+    camera.
     """
     R_WT, p_WT, X = tags.R_WT[i], tags.p_WT[i], tags.corners_T[i]
-    scratch = np.empty((16, 3))  # one allocation: this runs for every tag at every step
-    R_CT, p_CT, x_C, A = scratch[:3], scratch[3], scratch[4:8], scratch[8:]
+    R_CT, p_CT, x_C, A = small[:3], small[3], small[4:8], small[8:]
     for a in range(3):
         p_CT[a] = 0.0
         for b in range(3):
@@ -66,7 +68,7 @@ def tag_rows(R_WC: Array, p_WC: Array, tags: TagBatch, i: int, rows: Array, L: A
     return front
 
 
-@njit
+@bare
 def residual_factor(L: Array, laying: Array, sigma_px: Array, factor: Array) -> bool:
     """Cholesky factor (8, 8) of S; L (8, 6), laying (6,) sigmas [m, rad], sigma_px (4,)."""
     for i in range(8):
@@ -83,7 +85,7 @@ def residual_factor(L: Array, laying: Array, sigma_px: Array, factor: Array) -> 
     return cholesky(factor)
 
 
-@njit
+@bare
 def systematic_rows(offset_px: Array, floor: Array, B: Array) -> None:
     """B (8, 3): shift of the corners by one sigma of [focal, principal u, principal v] [px].
 
@@ -108,11 +110,11 @@ def mean_covariance(
     [p_WC in W, right rotation in C]. NaN where a tag lies behind the camera or is seen edge-on.
     """
     rows, L, B = np.empty((8, 7)), np.empty((8, 6)), np.empty((8, 3))
-    H, H_inv, gain = np.empty((6, 6)), np.empty((6, 6)), np.empty(8)
+    H, H_inv, gain, small = np.empty((6, 6)), np.empty((6, 6)), np.empty(8), np.empty((16, 3))
     P, D, G = np.zeros((6, 6)), np.zeros((6, SYSTEMATIC)), np.empty((6, 6))
     for at in range(len(used)):
         i, w = used[at], weight[at]
-        good = tag_rows(R_WC, p_WC, tags, i, rows, L)
+        good = tag_rows(R_WC, p_WC, tags, i, rows, L, small)
         systematic_rows(tags.offset_px[i], tags.floor, B)
         for k in range(8):
             rows[k] /= tags.sigma_px[i, k // 2]
@@ -143,7 +145,7 @@ def mean_covariance(
     return P + D @ D.T
 
 
-@njit
+@bare
 def accumulate(J: Array, H: Array) -> None:
     """H = J^T J; J (8, 6) -> H (6, 6)."""
     for a in range(6):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import BaseModel, Field, PositiveFloat
 
-from tagvo.compiled import cholesky, forward, inverse_spd, njit
+from tagvo.compiled import bare, cholesky, forward, inverse_spd, njit
 from tagvo.descent import Work, evaluate, minimise, step
 from tagvo.geometry import Array
 from tagvo.information import SYSTEMATIC, TagBatch, systematic_rows, tag_rows
@@ -54,7 +54,7 @@ def _systematic(R: Array, p: Array, tags: TagBatch, P: Array, work: Work) -> Arr
     B, sums = np.empty((8, SYSTEMATIC)), np.zeros((6, SYSTEMATIC))
     rows = work.rows
     for i in range(len(work.chi2)):
-        tag_rows(R, p, tags, i, rows, work.L)
+        tag_rows(R, p, tags, i, rows, work.L, work.small)
         systematic_rows(tags.offset_px[i], tags.floor, B)
         forward(work.factors[i], rows)
         forward(work.factors[i], B)
@@ -124,12 +124,26 @@ def _solve(
 ) -> tuple[Array, Array, Array, Array, Array, float, bool, float]:
     n = len(tags.sigma_px)
     R, p, cov, share = R0.copy(), p0.copy(), np.full((6, 6), np.nan), 1.0
-    rows, L = np.empty((8, 7)), np.empty((8, 6))
+    rows, L, small = np.empty((8, 7)), np.empty((8, 6)), np.empty((16, 3))
     work = Work(
-        np.empty((n, 8, 8)), np.zeros(n), np.zeros(n), rows, L, np.empty((6, 6)), np.empty(6)
+        np.empty((n, 8, 8)),
+        np.zeros(n),
+        np.zeros(n),
+        rows,
+        L,
+        np.empty((6, 6)),
+        np.empty(6),
+        small,
     )
     other = Work(
-        np.empty((n, 8, 8)), np.zeros(n), np.zeros(n), rows, L, np.empty((6, 6)), np.empty(6)
+        np.empty((n, 8, 8)),
+        np.zeros(n),
+        np.zeros(n),
+        rows,
+        L,
+        np.empty((6, 6)),
+        np.empty(6),
+        small,
     )
     cost, settled = minimise(R, p, tags, limit, steps, work, other)
     if adapt and settled and n >= _FEWEST_FOR_SHARE:
@@ -144,7 +158,7 @@ def _solve(
     return R, p, cov, work.chi2, work.weight, cost, settled, share
 
 
-@njit
+@bare
 def _misfit(chi2: Array, weight: Array) -> float:
     """Variance factor: 1 where the residuals are as expected (99 %), chi2 / dof above that."""
     total, count = 0.0, 0.0

@@ -5,13 +5,13 @@ coordinates. The distortion is thus evaluated once a frame, at the measured corn
 are compiled kernels for one tag; they write into their last arguments.
 """
 
-from tagvo.compiled import njit
+from tagvo.compiled import bare
 from tagvo.geometry import Array
 
 _NEAR = 1e-3  # metres in front of the camera below which a corner counts as not visible
 
 
-@njit
+@bare
 def residual(
     R: Array, p: Array, X: Array, corners_n: Array, J_px_n: Array, r: Array, A: Array, x_C: Array
 ) -> bool:
@@ -37,7 +37,7 @@ def residual(
     return front
 
 
-@njit
+@bare
 def tag_jacobian(A: Array, R_CT: Array, corners_T: Array, out: Array) -> None:
     """d pixel / d [dp of the tag in T, right rotation in T]; A (8, 3) -> out (8, 6)."""
     for row in range(8):
@@ -51,7 +51,7 @@ def tag_jacobian(A: Array, R_CT: Array, corners_T: Array, out: Array) -> None:
         out[row, 5] = x * a1 - y * a0
 
 
-@njit
+@bare
 def camera_jacobian(A: Array, R_WC: Array, x_C: Array, out: Array) -> None:
     """d pixel / d [p_WC in W, right rotation in C]; A (8, 3), x_C (4, 3) -> out (8, 6)."""
     for row in range(8):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tagvo import reprojection
-from tagvo.compiled import backward, cholesky, forward, njit, rotated
+from tagvo.compiled import backward, bare, cholesky, forward, njit, rotated
 from tagvo.geometry import Array
 from tagvo.records import Observations, TagPoses
 
@@ -34,7 +34,7 @@ class _Work(NamedTuple):
     L: Array
 
 
-@njit
+@bare
 def homography_at_centre(corners_n: Array, size: float, x: Array, J: Array) -> None:
     """Image x (2,) of a tag's centre and J (2, 2) = d image / d tag plane there [1/m].
 
@@ -56,17 +56,17 @@ def homography_at_centre(corners_n: Array, size: float, x: Array, J: Array) -> N
         J[i, 1] = -(b - x[i] * h) / (w * size)  # T's y points up, the unit square's down
 
 
-@njit
-def ippe_rotations(x: Array, J: Array, R_CT: Array) -> None:
+@bare
+def ippe_rotations(x: Array, J: Array, R_CT: Array, small: Array) -> None:
     """Both rotations R_CT (2, 3, 3) that agree with the image of the plane at its centre.
 
-    x (2,) image of the centre, J (2, 2) its derivative [1/m] (Collins and Bartoli, section 3).
+    x (2,) image of the centre, J (2, 2) its derivative [1/m] (Collins and Bartoli, section 3);
+    small (8, 3): scratch.
     """
     norm = np.sqrt(1.0 + x[0] * x[0] + x[1] * x[1])
     c, sx, sy = 1.0 / norm, x[0] / norm, x[1] / norm
     k = 1.0 / (1.0 + c)
-    scratch = np.empty((8, 3))
-    Rv, local, A = scratch[:3], scratch[3:6], scratch[6:, :2]
+    Rv, local, A = small[:3], small[3:6], small[6:, :2]
     Rv[0, 0], Rv[0, 1], Rv[0, 2] = 1.0 - k * sx * sx, -k * sx * sy, sx  # turns the z axis to the
     Rv[1, 0], Rv[1, 1], Rv[1, 2] = -k * sx * sy, 1.0 - k * sy * sy, sy  # line of sight (x, 1)
     Rv[2, 0], Rv[2, 1], Rv[2, 2] = -sx, -sy, c
@@ -79,7 +79,9 @@ def ippe_rotations(x: Array, J: Array, R_CT: Array) -> None:
     q = A[0, 0] ** 2 + A[0, 1] ** 2 + A[1, 0] ** 2 + A[1, 1] ** 2
     det_A = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
     gamma = np.sqrt(0.5 * (q + np.sqrt(max(q * q - 4.0 * det_A * det_A, 0.0))))
-    A /= max(gamma, 1e-12)
+    for i in range(2):
+        for j in range(2):
+            A[i, j] /= max(gamma, 1e-12)
     b0 = np.sqrt(max(1.0 - A[0, 0] ** 2 - A[1, 0] ** 2, 0.0))
     b1 = np.sqrt(max(1.0 - A[0, 1] ** 2 - A[1, 1] ** 2, 0.0))
     if A[0, 0] * A[0, 1] + A[1, 0] * A[1, 1] > 0.0:
@@ -99,7 +101,7 @@ def ippe_rotations(x: Array, J: Array, R_CT: Array) -> None:
                 )
 
 
-@njit
+@bare
 def translation(R_CT: Array, X: Array, corners_n: Array, p_CT: Array) -> None:
     """Least-squares p_CT (3,) [m] for a known rotation: rows [1 0 -x; 0 1 -y] p = x Z - X."""
     sx, sy, sq, v0, v1, v2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -117,7 +119,7 @@ def translation(R_CT: Array, X: Array, corners_n: Array, p_CT: Array) -> None:
     p_CT[0], p_CT[1], p_CT[2] = 0.25 * (v0 + sx * z), 0.25 * (v1 + sy * z), z
 
 
-@njit
+@bare
 def _normal_equations(
     R: Array,
     p: Array,
@@ -158,7 +160,7 @@ def _normal_equations(
     return np.inf, np.inf
 
 
-@njit
+@bare
 def _step(R: Array, p: Array, H: Array, work: _Work) -> bool:
     """Damped Gauss-Newton step of a pose and its H and work.g into work.R_new, work.p_new."""
     L, b = work.L, work.b
@@ -227,9 +229,10 @@ def _solve_all(
         np.empty((6, 1)), np.empty((3, 3)), np.empty(3), np.empty((6, 6)), np.empty((6, 6)),
     )  # fmt: skip
     R_s, p_s, w, square = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(4), np.empty(2)
+    small = np.empty((8, 3))
     for i in range(n):
         homography_at_centre(x_n[i], size[i], centre, J)
-        ippe_rotations(centre, J, R_s)
+        ippe_rotations(centre, J, R_s, small)
         for c in range(4):
             w[c] = 1.0 / sigma_px[i, c]
         for s in range(2):

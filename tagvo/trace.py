@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tagvo.compiled import njit
+from tagvo.compiled import bare, njit
 from tagvo.geometry import IntArray
 
 Array32: TypeAlias = NDArray[np.float32]
@@ -92,7 +92,7 @@ def poses_of(H: Array32, i: int, time: Array32, at: float, out: Array32) -> bool
     return facing
 
 
-@njit
+@bare
 def trace_row(rays: Array32, y: int, first: int, last: int, H: Array32, trace: Array32) -> None:
     """Trace pixels first..last of row y; rays (h, 6, w), H (p, 10), into trace (fields, w).
 
@@ -133,7 +133,7 @@ def trace_row(rays: Array32, y: int, first: int, last: int, H: Array32, trace: A
             high[k] += wide
 
 
-@njit
+@bare
 def _slope(
     rays: Array32,
     y: int,
@@ -160,7 +160,7 @@ def _slope(
         by_y[k] = da * ay[k] + db * by[k]
 
 
-@njit
+@bare
 def code_met(cells: Codes, first: int, n: int, u0: float, u1: float, v0: float, v1: float) -> int:
     """The one code of n x n cells that a path meets, MANY, or OFF where it meets no cell."""
     if not (u1 > 0.0 and u0 < n and v1 > 0.0 and v0 < n):
@@ -232,7 +232,7 @@ def _cut(kind: int, outline: Array32, x: float, y: float, code: int) -> int:
     return code if x * x + y * y < edge * edge else BARE
 
 
-@njit
+@bare
 def sampled(trace: Array32, x: int, axis: int, samples: Samples, out: Array32) -> None:
     """Column, row or depth (axis 0, 1, 2) of a traced pixel at its samples, into out (n,)."""
     by_x, by_y = trace[UX + 2 * axis, x], trace[UY + 2 * axis, x]
@@ -248,7 +248,7 @@ def sampled(trace: Array32, x: int, axis: int, samples: Samples, out: Array32) -
             part[k] = start + step * ahead[k] + by_x * right[k] + by_y * down[k]
 
 
-@njit
+@bare
 def depth_traced(rays: Array32, y: int, x: int, H: Array32, trace: Array32) -> None:
     """The depths of one pixel's trace alone, into the first column of trace (fields, 1)."""
     points = H.shape[0]

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from tagvo.compiled import njit
+from tagvo.compiled import bare, njit
 from tagvo.geometry import Array
 from vio import layout as at
 from vio.imu import exp_quat, turn_quat
@@ -17,7 +17,7 @@ from vio.predicted import camera_jacobian, pivot_rows, pose_residual
 GATE_6, GATE_3, GATE_8 = 22.457744, 16.266236, 26.124482  # chi-square 99.9 % of 6, 3 and 8 dof
 
 
-@njit
+@bare
 def cholesky(A: Array, m: int) -> bool:
     """Lower factor of the leading m x m block of A, in place; False where it is not positive."""
     for i in range(m):
@@ -34,7 +34,7 @@ def cholesky(A: Array, m: int) -> bool:
     return True
 
 
-@njit
+@bare
 def solve_lower(L: Array, m: int, B: Array) -> None:
     """B (m, k) := L^-1 B in place, L lower triangular."""
     for i in range(m):
@@ -47,7 +47,7 @@ def solve_lower(L: Array, m: int, B: Array) -> None:
             B[i, j] *= f
 
 
-@njit
+@bare
 def times_p(H: Array, P: Array, M: Array) -> None:
     """M (m, n) := H P, skipping what is zero in H."""
     m, n = H.shape
@@ -61,7 +61,7 @@ def times_p(H: Array, P: Array, M: Array) -> None:
                     M[i, j] += h * P[c, j]
 
 
-@njit
+@bare
 def times_ht(M: Array, H: Array, S: Array) -> None:
     """S (m, m) := M H^T, skipping what is zero in H; exactly symmetric."""
     m, n = H.shape
@@ -79,7 +79,7 @@ def times_ht(M: Array, H: Array, S: Array) -> None:
             S[i, k] = S[k, i]
 
 
-@njit
+@bare
 def _subtract_square(P: Array, M: Array) -> None:
     """P (n, n) -= M^T M; all rows of M at once where there are six: three times as fast."""
     m, n = M.shape
@@ -124,7 +124,7 @@ def downdate(x: Array, P: Array, L: Array, M: Array, r: Array) -> bool:
     return True
 
 
-@njit
+@bare
 def inject(x: Array, P: Array, dx: Array) -> None:
     """Add the error dx (30,) to the nominal state and reset it; P follows by the reset Jacobian."""
     for i in range(3):
@@ -143,7 +143,7 @@ def inject(x: Array, P: Array, dx: Array) -> None:
     _reset(P, at.EX, dx)
 
 
-@njit
+@bare
 def _reset(P: Array, s: int, dx: Array) -> None:
     """P := G P G^T with G = I - hat(dx[s:s+3]) / 2 on that block, identity elsewhere."""
     a, b, c = 0.5 * dx[s], 0.5 * dx[s + 1], 0.5 * dx[s + 2]
@@ -180,7 +180,7 @@ def distance(S: Array, r: Array, first: int, m: int) -> float:
     return d if d >= 0.0 else np.inf
 
 
-@njit
+@bare
 def see_bias(x: Array, L: Array, scale: Array, H: Array, r: Array) -> None:
     """Let the pose bias into H (6, n) and r (6,): diag(scale (6,)) L (6, 6, lower) times it."""
     for i in range(6):

@@ -1,12 +1,13 @@
 """The filter as others use it: IMU samples and poses in, in any order; the state valid now out."""
 
 from collections import Counter, deque
+from statistics import median
 
 import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.camera import Camera
-from tagvo.geometry import Array, IntArray
+from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.information import FloorConfig
 from tagvo.records import Observations, PoseMeasurement, PosePrior
 from tagvo.tagmap import TagMap
@@ -46,6 +47,10 @@ def process_noise(noise: ImuNoise, config: VioConfig) -> Array:
     sigma = [noise.gyro_density, noise.accel_density, noise.gyro_walk, noise.accel_walk]
     sigma += [config.extrinsic_walk_rad, config.time_offset_walk_s]
     return np.append(np.square(sigma), [1.0 / config.pose_bias_time_s, config.gravity_m_s2])
+
+
+def _either(states: IntArray, a: int, b: int) -> BoolArray:
+    return np.asarray((states == a) | (states == b))
 
 
 class Estimator:
@@ -284,13 +289,13 @@ class Estimator:
         w = self._window
         states = w.m_state[: w.count]
         vision = np.flatnonzero((w.m_z[: w.count, 0] <= at.M_CORNERS) & (states != at.PENDING))
-        good = vision[np.isin(states[vision], (at.ACCEPTED, at.POSITION_ONLY))]
+        good = vision[_either(states[vision], at.ACCEPTED, at.POSITION_ONLY)]
         if good.size:
             self._accepted_ns = int(w.m_at[good[-1]])
         bad = vision[vision > (good[-1] if good.size else -1)]
         self._rejects = len(bad)
         nis = w.m_nis[vision[-20:]]
-        self._nis = float(np.median(nis)) / 6.0 if nis.size else 0.0
+        self._nis = median(nis.tolist()) / 6.0 if nis.size else 0.0
         self._newest_nis = float(nis[-1]) / 6.0 if nis.size else np.nan
         age = (w.now_ns - self._accepted_ns) * 1e-9
         c = self._config.recovery
@@ -302,7 +307,7 @@ class Estimator:
     def _review_rotations(self, vision: IntArray, states: IntArray) -> None:
         """Recover where positions pass and rotations do not, pose after unambiguous pose."""
         w, c = self._window, self._config.recovery
-        good = vision[np.isin(states[vision], (at.ACCEPTED, at.ROTATION_ONLY))]
+        good = vision[_either(states[vision], at.ACCEPTED, at.ROTATION_ONLY)]
         later = vision[vision > (good[-1] if good.size else -1)]
         if len(later) < c.turned:
             return

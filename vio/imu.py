@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tagvo.compiled import drop_stale_code, njit
+from tagvo.compiled import bare, drop_stale_code, njit
 from tagvo.geometry import Array
 from vio import layout as at
 
@@ -20,7 +20,7 @@ Quat = tuple[float, float, float, float]
 _SMALL = 1e-4  # half angle [rad] below which sin(h)/h and its kin come from their series
 
 
-@njit
+@bare
 def exp_quat(x: float, y: float, z: float) -> Quat:
     """Unit quaternion wxyz of a rotation vector [rad]."""
     h = 0.5 * math.sqrt(x * x + y * y + z * z)
@@ -28,7 +28,7 @@ def exp_quat(x: float, y: float, z: float) -> Quat:
     return math.cos(h), s * x, s * y, s * z
 
 
-@njit
+@bare
 def turn_quat(x: Array, i: int, d: Quat) -> None:
     """x[i:i+4] := x[i:i+4] * d, normalised; quaternions wxyz."""
     w, a, b, c = x[i], x[i + 1], x[i + 2], x[i + 3]
@@ -41,7 +41,7 @@ def turn_quat(x: Array, i: int, d: Quat) -> None:
     x[i], x[i + 1], x[i + 2], x[i + 3] = nw * s, na * s, nb * s, nc * s
 
 
-@njit
+@bare
 def matrix_into(R: Array, w: float, x: float, y: float, z: float) -> None:
     """R (3, 3) := rotation matrix of a unit quaternion."""
     R[0, 0], R[1, 1] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z)
@@ -51,7 +51,7 @@ def matrix_into(R: Array, w: float, x: float, y: float, z: float) -> None:
     R[1, 2], R[2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
 
 
-@njit
+@bare
 def right_jacobian_into(J: Array, x: float, y: float, z: float) -> None:
     """J (3, 3) := right Jacobian of the rotation vector (x, y, z)."""
     t2 = x * x + y * y + z * z
@@ -70,7 +70,7 @@ def right_jacobian_into(J: Array, x: float, y: float, z: float) -> None:
     J[1, 2], J[2, 1] = b * x + c * y * z, -b * x + c * y * z
 
 
-@njit
+@bare
 def _right_hat(out: Array, R: Array, v0: float, v1: float, v2: float, s: float) -> None:
     """out (3, 3) := s R hat(v)."""
     for i in range(3):
@@ -80,7 +80,7 @@ def _right_hat(out: Array, R: Array, v0: float, v1: float, v2: float, s: float) 
         out[i, 2] = s * (a * v1 - b * v0)
 
 
-@njit
+@bare
 def mechanise(x: Array, w: Array, f: Array, dt: float, g: float, R_mid: Array) -> None:
     """Nominal state x one interval on, in place; w [rad/s], f [m/s^2] interval means with bias.
 
@@ -132,7 +132,7 @@ def transition_into(
             B[3 + i, 3 + j] = -dt * J[i, j]
 
 
-@njit
+@bare
 def _rows(T: Array, P: Array, B: Array, dt: float) -> None:
     """T (9, n) := the nine active rows of F P."""
     n = P.shape[0]
@@ -181,7 +181,7 @@ def spread(P: Array, B: Array, dt: float) -> None:
             P[j, i] = P[i, j]
 
 
-@njit
+@bare
 def add_noise(P: Array, R_mid: Array, dt: float, q: Array, scale: Array) -> None:
     """P += process noise of one interval; q as in `layout`, scale (6,) widens single axes."""
     n = P.shape[0]
@@ -205,7 +205,7 @@ def add_noise(P: Array, R_mid: Array, dt: float, q: Array, scale: Array) -> None
         _relax_bias(P, dt, q)
 
 
-@njit
+@bare
 def _relax_bias(P: Array, dt: float, q: Array) -> None:
     """The pose bias forgets at its rate; its stationary variance is 1."""
     n = P.shape[0]

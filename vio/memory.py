@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from tagvo.compiled import njit
+from tagvo.compiled import bare, njit
 from tagvo.geometry import Array
 from vio import layout as at
 
@@ -38,7 +38,7 @@ def no_memory() -> Array:
     return out
 
 
-@njit
+@bare
 def _slow(x: Array) -> float:
     """Autocorrelation at the longest lags beyond what one exponential through lag 1 leaves."""
     first, beyond = max(x[at.X_SUMS + 1] / x[at.X_SUMS], 0.0), 0.0
@@ -47,7 +47,7 @@ def _slow(x: Array) -> float:
     return max(beyond, 0.0)
 
 
-@njit
+@bare
 def _fast(x: Array, n: int) -> float:
     """How far, from 0 to 1, the autocorrelation that decays within a few frames asks for more R."""
     rho = x[at.X_SUMS + 1] / x[at.X_SUMS]
@@ -56,7 +56,7 @@ def _fast(x: Array, n: int) -> float:
     return float(min(max((rho - _LOW) / (_HIGH - _LOW), 0.0), 1.0))
 
 
-@njit
+@bare
 def slow_share(x: Array, par: Array, n: int) -> tuple[float, float]:
     """Which share of a pose's variance varies slowly, of its position and of its rotation.
 
@@ -72,7 +72,7 @@ def slow_share(x: Array, par: Array, n: int) -> tuple[float, float]:
     return learnt, _TURNS * learnt
 
 
-@njit
+@bare
 def inflation(x: Array, par: Array, n: int) -> float:
     """By how much R is multiplied now; par (4,): usual inflation, gate, whether to adapt, share."""
     if par[2] == 0.0:

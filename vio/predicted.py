@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from tagvo.compiled import njit
+from tagvo.compiled import bare, njit
 from tagvo.geometry import Array
 from vio import layout as at
 from vio.imu import matrix_into, turn_quat
@@ -30,7 +30,7 @@ def camera_pose(x: Array, R_WC: Array, p_WC: Array) -> None:
         p_WC[i] = x[at.X_P + i] + lever
 
 
-@njit
+@bare
 def _times_hat(out: Array, row: int, col: int, R: Array, v: Array, s: float) -> None:
     """out[row:row+3, col:col+3] := s R hat(v)."""
     for i in range(3):
@@ -84,7 +84,7 @@ def pose_residual(x: Array, z: Array, r: Array, y: Array, R_WC: Array) -> None:
         r[3 + i] = k * q[1 + i]
 
 
-@njit
+@bare
 def pivot_rows(H: Array, R_WC: Array, y: Array, active: int) -> None:
     """H (6, n) := d [pivot in C, rotation] / d error state, from d xi / d error state, in place."""
     for j in range(active):

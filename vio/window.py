@@ -9,7 +9,7 @@ from collections import Counter
 
 import numpy as np
 
-from tagvo.compiled import njit
+from tagvo.compiled import bare, njit
 from tagvo.geometry import Array, IntArray
 from vio import layout as at
 from vio.corners import correct_corners
@@ -49,12 +49,12 @@ def _apply(x: Array, P: Array, w: Array, z: Array, par: Array, t_ns: int) -> tup
     return verdict, nis
 
 
-@njit
+@bare
 def _effective(stamp: int, x: Array) -> int:
     return int(stamp + round(x[at.X_TD] * 1e9))
 
 
-@njit
+@bare
 def _rate_span(q: Array) -> float:
     """Over how long to take the mean of the gyro [ns], by its noise in q (NOISE,)."""
     return float(min(max(1e9 * q[at.N_GYRO] / _RATE_RAD_S**2, _RATE_NS[0]), _RATE_NS[1]))
@@ -118,7 +118,7 @@ def walk(
         j += 1
 
 
-@njit
+@bare
 def snapshot_before(t: IntArray, X: Array, last: int, stamp: int) -> int:
     """The last snapshot that cannot hold a measurement of this stamp; -1: none is left."""
     for k in range(last + 1):

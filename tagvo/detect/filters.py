@@ -5,7 +5,7 @@ from typing import TypeAlias
 import numpy as np
 from pydantic import BaseModel, Field
 
-from tagvo.compiled import njit
+from tagvo.compiled import bare, njit
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import Detections
 from tagvo.tagmap import TagMap
@@ -35,7 +35,7 @@ class FilterConfig(BaseModel, frozen=True, extra="forbid"):
     duplicate_px: float = Field(2.0, ge=0.0)
 
 
-@njit
+@bare
 def _runs_clockwise(quad: Array) -> bool:
     """Whether corners (4, 2) run clockwise in the image (y down) around a convex quad.
 
@@ -52,7 +52,7 @@ def _runs_clockwise(quad: Array) -> bool:
     return bool(d1x * d2y - d1y * d2x > 0.0)
 
 
-@njit
+@bare
 def _shortest_side(quad: Array) -> float:
     shortest = np.inf
     for k in range(4):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tagvo.compiled import bare, cholesky, njit
+from tagvo.compiled import bare, cholesky
 from tagvo.geometry import Array
 from tagvo.records import PosePrior
 from tagvo.track.cells import Gray
@@ -138,7 +138,7 @@ def looks_mosaic(image: Gray) -> bool:
     return min(image.shape) >= 2 and bool(_diagonals_differ(image))
 
 
-@njit
+@bare
 def _diagonals_differ(image: Gray) -> bool:
     height, width = image.shape[0] // 2 * 2, image.shape[1] // 2 * 2
     a = b = c = d = 0

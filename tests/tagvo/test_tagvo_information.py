@@ -42,7 +42,7 @@ def batch_at(seed, height=0.6, tilt_deg=15.0, n=2):
 
 def rows_of(tags, R_WC, p_WC, i):
     rows, L = np.empty((8, 7)), np.empty((8, 6))
-    assert tag_rows(R_WC, p_WC, tags, i, rows, L)
+    assert tag_rows(R_WC, p_WC, tags, i, rows, L, np.empty((16, 3)))
     return rows[:, 0], rows[:, 1:], L
 
 
