@@ -17,7 +17,7 @@ from vio.mavlink.url import check_baud, parse_url
 from vio.mavlink_settings import ImuLinkConfig, MavlinkConfig
 
 _TURN_S = 0.01
-_REST_NS = 1_000_000_000
+_REST_NS, _MOST_REST_NS = 1_000_000_000, 5_000_000_000
 _WRITE_NS = 60_000_000_000
 
 
@@ -69,11 +69,18 @@ class Line:
         return walk
 
     def rest(self, walk: Walk) -> None:
-        """Let a second of rest go by and have `walk` take it."""
+        """Wait for a second of rest, five at most, and have `walk` take the last one."""
         self._drain(walk)
         start_ns = now_ns()
-        self._pump(walk, lambda: now_ns() - start_ns > _REST_NS)
-        walk.rested(start_ns)
+
+        def done() -> bool:
+            now = now_ns()
+            if now - start_ns <= _REST_NS:
+                return False
+            return now - start_ns > _MOST_REST_NS or walk.still(now - _REST_NS)
+
+        self._pump(walk, done)
+        walk.rested(now_ns() - _REST_NS)
 
     def close(self) -> None:
         """Give the link back."""

@@ -59,14 +59,21 @@ class Walk:
         """Nothing more is asked."""
         return []
 
+    def still(self, since_ns: int) -> bool:
+        """Whether every source was heard and held still since then."""
+        return all(self._rest(who, since_ns) is not None for who in {FC, *self._p})
+
     def rested(self, since_ns: int) -> Step:
         """Take what was heard since then as the rest of the next step; which one that was."""
         step = self._steps[len(self.rests[FC])]
         for who in {FC, *self._p}:
-            p = np.array([row for t, row in self._p.get(who, ()) if t >= since_ns])
-            yaw = np.array([y for t, y in self._yaw.get(who, ()) if t >= since_ns])
-            self.rests.setdefault(who, {})[step] = rest(p.reshape(-1, 3), yaw)
+            self.rests.setdefault(who, {})[step] = self._rest(who, since_ns)
         return step
+
+    def _rest(self, who: str, since_ns: int) -> Rest | None:
+        p = np.array([row for t, row in self._p.get(who, ()) if t >= since_ns])
+        yaw = np.array([y for t, y in self._yaw.get(who, ()) if t >= since_ns])
+        return rest(p.reshape(-1, 3), yaw)
 
     def judge(self) -> list[Finding]:
         """What is wrong with the axes, source by source."""
