@@ -165,6 +165,12 @@ def invert(R_AB: Array, p_AB: Array) -> tuple[Array, Array]:
     return R_BA, -np.einsum("...ij,...j->...i", R_BA, p_AB)
 
 
+def shortest_sides(corners_px: Array) -> Array:
+    """Shortest side of quads in the image; (n, 4, 2) -> (n,) [px]."""
+    sides = corners_px - corners_px[:, (3, 0, 1, 2)]
+    return np.asarray(np.sqrt(np.square(sides).sum(axis=2).min(axis=1)))
+
+
 def exp_se3(xi: Array) -> tuple[Array, Array]:
     """Pose (R, p) of a twist [rho (m), phi (rad)]; (..., 6) -> (..., 3, 3) and (..., 3)."""
     rho, phi = xi[..., :3], xi[..., 3:]

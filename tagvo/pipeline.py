@@ -180,17 +180,13 @@ class TagVO:
             return self._search(gray), {}
         if self._tracker is None:
             self._tracker = Tracker(self.camera, self.tag_map, self.config.track)
-        tracked = self._tracker(gray, frame.t_ns, prior, self._search)
-        if tracked.detections is None:
-            return self._search(gray, self._decimate(frame.t_ns, prior)), tracked.counts
-        return self._with_floor(tracked.detections), tracked.counts
-
-    def _decimate(self, t_ns: int, prior: PosePrior | None) -> float | None:
-        """Of a search of the whole image, by the tags expected in it; None: the usual one."""
-        if self._tracker is None or not self.config.track.adaptive:
-            return None
         largest_only = self.config.pose == "fused" and self.config.select != "ALL"
-        return self._tracker.decimate(prior, t_ns, largest_only)
+        tracked = self._tracker(gray, frame.t_ns, prior, self._search, largest_only)
+        if tracked.detections is not None:
+            return self._with_floor(tracked.detections), tracked.counts
+        found = self._search(gray, self._tracker.decimate(prior, frame.t_ns, largest_only))
+        self._tracker.searched(found, largest_only)
+        return found, tracked.counts
 
     def _with_floor(self, found: Detections) -> Detections:
         """Tracked tags with the share of the configured noise that no residual shows."""
@@ -206,8 +202,8 @@ class TagVO:
                 d.library, family, border_bits=bits, decimate=d.decimate,
                 max_hamming=d.max_hamming, threads=d.threads,
             )  # fmt: skip
-        if decimate is not None and isinstance(self._detector, AprilTagDetector):
-            found = self._detector.detect(gray, decimate)
+        if isinstance(self._detector, AprilTagDetector):
+            found = self._detector.detect(gray, decimate if cfg.track.adaptive else None)
         else:
             found = self._detector.detect(gray)
         if not len(found):

@@ -115,7 +115,7 @@ def fly(name: str, args, arms: dict[str, Arm], tag_map, found: dict) -> None:
 def judge(full, traces, rows, px, tag_map, found) -> None:
     """Which tags of decimate 1 of 20 px and more, inside the rim, each arm had."""
     q = full.corners_px
-    side = np.linalg.norm(q - np.roll(q, 1, axis=1), axis=2).min(axis=1)
+    side = geo.shortest_sides(q)
     inside = ((q > RIM_PX) & (q < np.array(CAM.resolution) - 1 - RIM_PX)).all(axis=(1, 2))
     big = set(full.tag_id[(side >= BIG_PX) & inside].tolist())
     for name, trace in traces.items():

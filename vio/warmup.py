@@ -64,8 +64,8 @@ def warm_tracker(tag_map: TagMap, camera: Camera, config: TrackConfig | None = N
     p_WC = tag_map.p_WT[nearest] + 4.0 * tag_map.size[nearest] * tag_map.R_WT[nearest][:, 2]
     prior = PosePrior(0, p_WC, R_WC, 1e-6 * np.eye(6))
     tracker = Tracker(camera, tag_map, config or TrackConfig(mode="on"))
-    tracker(image, 0, prior, lambda part: no_detections())
-    tracker.decimate(prior, 0, False)
+    tracker(image, 0, prior, lambda *_: no_detections())
+    tracker.decimate(prior, 0, largest_only=False)
 
 
 def warm_renderer(tag_map: TagMap, camera: Camera) -> None:

@@ -25,10 +25,12 @@ _LEAST_VARIANCE, _SINGULAR = 1e-24, 1e-12  # of a coordinate; of what its correl
 
 @dataclass(frozen=True, slots=True)
 class GateState:
-    """What the gate remembers: why the next frame is searched whole (or None), the last strip."""
+    """What the gate remembers: why the next frame is searched whole (or None), the last strip,
+    and how far a search may be decimated by what the last frame's search found."""
 
     search_next: str | None = None
     strip: int = -1
+    decimate: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +178,13 @@ def tracking_failed(tracked: int, tried: int, config: TrackConfig) -> str | None
     if tracked < config.min_share * tried:
         return "too_small_a_share"
     return None
+
+
+def decimate_again(sides_px: Array, size: Array, largest_only: bool) -> float | None:
+    """Like `decimate_needed`, by tags found in the image before; None: too few to learn from."""
+    if len(sides_px) < _ENOUGH_TAGS:
+        return None
+    return decimate_needed(sides_px, size, largest_only)
 
 
 def decimate_needed(sides_px: Array, size: Array, largest_only: bool) -> float | None:

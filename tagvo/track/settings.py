@@ -14,8 +14,8 @@ class TrackConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     the frame is searched whole; max_sigma_px: prior uncertainty of a corner beyond which nothing is
     tried; max_errors: cells of one tag that may read wrong; min_contrast: grey values between its
     white and its black; sweep_s: a full search of strips of the image takes so long to cover it,
-    0: never; strips: how many; adaptive: a search of the whole image is decimated as far as the
-    tags expected in it allow (AprilTag library, where tagvo.detector.decimate is null).
+    0: never; strips: how many; adaptive: a search is decimated as far as the tags expected in the
+    image allow (AprilTag library, where tagvo.detector.decimate is null).
     """
 
     mode: Literal["off", "on"] = "off"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tagvo.camera import Camera
+from tagvo.geometry import shortest_sides
 from tagvo.records import Detections, PosePrior
 from tagvo.tagmap import TagMap
 from tagvo.track.cells import Gray, lens_of, map_arrays
@@ -15,6 +16,7 @@ from tagvo.track.gate import (
     GateState,
     Strip,
     admitted,
+    decimate_again,
     decimate_needed,
     looks_mosaic,
     strip_due,
@@ -28,6 +30,8 @@ _OVERLAP_PX = 40  # of neighbouring strips, for tags that lie across their borde
 _AGREE_PX = 2.0  # a tracked tag and the same tag found by the detector
 _KNOWN_M = 0.3  # position sigma up to which the size of tags in the image is known
 _RIM_PX = 8.0  # tags so near to a strip's rim are cut
+
+Search = Callable[[Gray, float | None], Detections]  # of an image, decimated as far as that
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,12 +71,13 @@ class Tracker:
         image: Gray,
         t_ns: int,
         prior: PosePrior | None,
-        search: Callable[[Gray], Detections],
+        search: Search,
+        largest_only: bool = False,
     ) -> Tracked:
         """The tags of a grey image where the prior puts them, and those of the strip that is due.
 
-        search: the detector, for a strip of the image. Where tracking is not to be trusted the
-        answer has no detections and says why in its counts.
+        search: the detector, for a strip of the image; largest_only: as in `decimate`. Where
+        tracking is not to be trusted the answer has no detections and says why in its counts.
         """
         sound, fault = admitted(prior, t_ns)
         fault = fault or self._state.search_next
@@ -87,22 +92,36 @@ class Tracker:
             return Tracked(None, {**counts, f"search_{failed}": 1}, max(tried, 0))
         strip = strip_due(self._state, self.config, t_ns, image.shape[0], _OVERLAP_PX)
         if strip is not None:
-            self._state = replace(self._state, strip=strip.index)
-            found, more = self._with_strip(image, strip, found, search)
+            self._state = replace(self._state, strip=strip.index, decimate=None)
+            part = np.ascontiguousarray(image[strip.top : strip.bottom])
+            seen = search(part, self._by_prior(sound, largest_only))
+            found, more = self._with_strip(image.shape[0], strip, found, seen)
             counts |= more
         return Tracked(found, {"tracked_frames": 1, **counts}, tried)
 
     def decimate(self, prior: PosePrior | None, t_ns: int, largest_only: bool) -> float | None:
         """How far a search of the whole image may be decimated, by what a prior puts into it.
 
-        None: nothing is known; a prior too vague to track by still knows the size of tags.
+        largest_only: no more than the two largest sizes are needed. A prior too vague to track by
+        still knows the size of tags; without one, the search before tells. None: nothing is known.
         """
         _, fault = admitted(prior, t_ns)
         if prior is None or fault not in (None, "prior_too_wide"):
-            return None
-        near = float(prior.cov[:3, :3].trace()) < _KNOWN_M**2
-        if not near:
-            return None
+            return self._state.decimate
+        if float(prior.cov[:3, :3].trace()) > _KNOWN_M**2:
+            return self._state.decimate
+        return self._by_prior(prior, largest_only)
+
+    def searched(self, found: Detections, largest_only: bool) -> None:
+        """Learn from a search of the whole image how far the next one may be decimated."""
+        rows = self._map.rows(found.tag_id)
+        on_map = rows >= 0
+        sides = shortest_sides(found.corners_px[on_map])
+        decimate = decimate_again(sides, self._size[rows[on_map]], largest_only)
+        self._state = replace(self._state, decimate=decimate)
+
+    def _by_prior(self, prior: PosePrior, largest_only: bool) -> float | None:
+        """By the tags that a prior puts into the image; None: none."""
         R_WC, p_WC = np.ascontiguousarray(prior.R_WC), np.ascontiguousarray(prior.p_WC)
         sides_in_view(R_WC, p_WC, self._tags, self._lens, self._margin)
         seen = self._margin > 0.0
@@ -129,17 +148,16 @@ class Tracker:
         return found, -1 if largest > self.config.max_sigma_px else tried, counts
 
     def _with_strip(
-        self, image: Gray, strip: Strip, found: Detections, search: Callable[[Gray], Detections]
+        self, height: int, strip: Strip, found: Detections, seen: Detections
     ) -> tuple[Detections, dict[str, int]]:
         """The tracked tags and what a search of a strip adds; tags that contradict it are dropped.
 
         One contradiction has the next frame searched whole.
         """
-        seen = search(np.ascontiguousarray(image[strip.top : strip.bottom]))
         corners = seen.corners_px + np.array([0.0, strip.top])
         v = corners[..., 1]
         low = -np.inf if strip.top == 0 else strip.top + _RIM_PX
-        high = np.inf if strip.bottom == image.shape[0] else strip.bottom - 1 - _RIM_PX
+        high = np.inf if strip.bottom == height else strip.bottom - 1 - _RIM_PX
         whole = ((v > low) & (v < high)).all(axis=1)
         on_map = self._map.rows(seen.tag_id) >= 0
         seen = replace(seen, corners_px=corners)[whole & on_map]

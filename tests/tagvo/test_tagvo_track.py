@@ -124,7 +124,7 @@ def test_tracked_corners_are_the_exact_projection(height):
     for seed in range(4):
         image, R_WC, p_WC, rng = view(seed, height)
         tracker = Tracker(CAMERA, MAP, TrackConfig(mode="on", sweep_s=0.0, max_tags=200))
-        got = tracker(image, 0, prior_of(R_WC, p_WC, rng), lambda part: no_detections())
+        got = tracker(image, 0, prior_of(R_WC, p_WC, rng), lambda *_: no_detections())
         if got.counts == {"search_none_in_view": 1}:  # a low camera between the large tags
             continue
         assert got.detections is not None, got.counts
@@ -289,10 +289,10 @@ def test_an_image_of_another_size_is_refused():
 def test_what_a_strip_contradicts_is_dropped_and_the_next_frame_searched():
     image, R_WC, p_WC, _ = view(9)
     tracker = Tracker(CAMERA, MAP, TrackConfig(mode="on", strips=1))
-    clean = tracker(image, 0, prior_of(R_WC, p_WC), lambda part: no_detections()).detections
+    clean = tracker(image, 0, prior_of(R_WC, p_WC), lambda *_: no_detections()).detections
     victim = clean[:1]
 
-    def search(part):
+    def search(part, decimate):
         return Detections.of(victim.tag_id, victim.corners_px + 9.0)
 
     tracker = Tracker(CAMERA, MAP, TrackConfig(mode="on", strips=1))
@@ -346,6 +346,45 @@ def test_decimation_follows_the_tags_that_are_needed():
     both = np.r_[sides, 45.0, 90.0], np.r_[size, 0.23, 0.46]
     assert decimate_needed(*both, False) == 1.5  # eight tags are needed
     assert decimate_needed(*both, True) == 4.0  # the two largest sizes alone
+
+
+def asking(asked):
+    """A search that finds nothing and keeps what decimation it was asked for."""
+
+    def search(part, decimate):
+        asked.append(decimate)
+        return no_detections()
+
+    return search
+
+
+@pytest.mark.parametrize(
+    ("seed", "height", "decimate"), [(5, 0.5, 4.0), (5, 0.8, 3.0), (3, 0.8, 2.0)]
+)
+def test_strips_are_decimated_by_what_the_prior_puts_into_the_image(seed, height, decimate):
+    image, R_WC, p_WC, _ = view(seed, height)
+    asked, tracker = [], Tracker(CAMERA, MAP, TrackConfig(mode="on", strips=1))
+    got = tracker(image, 0, prior_of(R_WC, p_WC), asking(asked))
+    assert got.counts["strips"] == 1
+    assert asked == [decimate]
+
+
+def test_a_search_without_a_prior_learns_from_the_last_how_far_to_decimate():
+    """Large tags; then none are found, and the search is as fine as at first."""
+    large = view(5, 0.5)[0]
+    vo, asked = TagVO(CAMERA, MAP, TRACK), []
+    inner = vo._search
+
+    def search(gray, decimate=None):
+        asked.append(decimate)
+        return inner(gray, decimate)
+
+    vo._search = search
+    for k, image in enumerate((large, large, np.zeros_like(large), large)):
+        trace = vo.trace(Frame(k, image))
+        assert trace.counts["search_no_prior"] == 1
+    assert asked == [None, 4.0, 4.0, None]
+    assert trace.pose is not None
 
 
 def test_no_false_lock_under_wrong_priors_and_disturbed_floors():

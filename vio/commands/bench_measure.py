@@ -12,7 +12,7 @@ from tagvo.detect import Detector, make_detector
 from tagvo.detect.peers import PlainAruco, PyAprilTags
 from tagvo.detect.protocol import gray_image, no_detections
 from tagvo.errors import DetectorError
-from tagvo.geometry import Array
+from tagvo.geometry import Array, shortest_sides
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
 from tagvo.tagmap import TagMap
@@ -82,7 +82,7 @@ def _tracker(tag_map: TagMap, camera: Camera) -> Way:
     tracker = Tracker(camera, tag_map, config)
 
     def find(view: View) -> Detections:
-        tracked = tracker(gray_image(view.image), 0, view.prior, lambda part: no_detections())
+        tracked = tracker(gray_image(view.image), 0, view.prior, lambda *_: no_detections())
         return no_detections() if tracked.detections is None else tracked.detections
 
     return find
@@ -116,9 +116,7 @@ def measure(
 
 def _compare(score: Score, view: View, found: Detections) -> None:
     """Which of the tags in view were found, how well, and what was found that is not there."""
-    sides = view.corners_px - np.roll(view.corners_px, 1, axis=1)
-    shortest = np.linalg.norm(sides, axis=2).min(axis=1)
-    kind = np.searchsorted(BINS, shortest, side="right") - 1
+    kind = np.searchsorted(BINS, shortest_sides(view.corners_px), side="right") - 1
     at = {int(t): i for i, t in enumerate(view.tag_id)}
     hit = np.zeros(len(view.tag_id), dtype=bool)
     for tag_id, corners in zip(found.tag_id.tolist(), found.corners_px, strict=True):

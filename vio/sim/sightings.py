@@ -44,7 +44,7 @@ def sighted(
     pixels, _ = project(camera, _seen(R_WC, p_WC, points_W))
     if readout_s > 0.0 and len(rows):
         pixels = _row_by_row(camera, pose_at, t_s, readout_s, points_W, pixels)
-    side = np.linalg.norm(pixels - np.roll(pixels, 1, axis=1), axis=-1).min(axis=1)
+    side = geo.shortest_sides(pixels)
     noise = config.sigma_px * rng.standard_normal((len(tag_map), 4, 2))[rows]
     found = (side >= config.least_side_px) & (rng.random(len(tag_map))[rows] >= config.miss_share)
     return Detections.of(tag_map.tag_id[rows][found], (pixels + noise)[found])
