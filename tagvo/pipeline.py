@@ -34,6 +34,7 @@ from tagvo.records import (
 from tagvo.selection import SELECT
 from tagvo.tagmap import TagMap
 from tagvo.tagpose import solve_tags
+from tagvo.track.gate import exact
 from tagvo.track.tracker import Tracker
 
 
@@ -202,8 +203,10 @@ class TagVO:
                 d.library, family, border_bits=bits, decimate=d.decimate,
                 max_hamming=d.max_hamming, threads=d.threads,
             )  # fmt: skip
-        if isinstance(self._detector, AprilTagDetector):
-            found = self._detector.detect(gray, decimate if cfg.track.adaptive else None)
+        if isinstance(self._detector, AprilTagDetector) and cfg.track.adaptive:
+            found = self._detector.detect(gray, decimate)
+            if cfg.detector.decimate is None:
+                found = found[exact(found.corners_px, decimate)]
         else:
             found = self._detector.detect(gray)
         if not len(found):

@@ -90,9 +90,11 @@ class Tracker:
         failed = "prior_too_wide" if tried < 0 else tracking_failed(len(found), tried, self.config)
         if failed is not None:
             return Tracked(None, {**counts, f"search_{failed}": 1}, max(tried, 0))
+        if self._state.searched:
+            self._state = replace(self._state, searched=False)
         strip = strip_due(self._state, self.config, t_ns, image.shape[0], _OVERLAP_PX)
         if strip is not None:
-            self._state = replace(self._state, strip=strip.index, decimate=None)
+            self._state = replace(self._state, strip=strip.index)
             part = np.ascontiguousarray(image[strip.top : strip.bottom])
             seen = search(part, self._by_prior(sound, largest_only))
             found, more = self._with_strip(image.shape[0], strip, found, seen)
@@ -100,16 +102,19 @@ class Tracker:
         return Tracked(found, {"tracked_frames": 1, **counts}, tried)
 
     def decimate(self, prior: PosePrior | None, t_ns: int, largest_only: bool) -> float | None:
-        """How far a search of the whole image may be decimated, by what a prior puts into it.
+        """How far a search of the whole image may be decimated.
 
-        largest_only: no more than the two largest sizes are needed. A prior too vague to track by
-        still knows the size of tags; without one, the search before tells. None: nothing is known.
+        By what was found in the frame before, where that was searched whole, else by what the
+        prior puts into the image: one too vague to track by still knows the size of tags.
+        largest_only: no more than the two largest sizes are needed. None: nothing is known.
         """
+        if self._state.searched:
+            return self._state.decimate
         _, fault = admitted(prior, t_ns)
         if prior is None or fault not in (None, "prior_too_wide"):
-            return self._state.decimate
+            return None
         if float(prior.cov[:3, :3].trace()) > _KNOWN_M**2:
-            return self._state.decimate
+            return None
         return self._by_prior(prior, largest_only)
 
     def searched(self, found: Detections, largest_only: bool) -> None:
@@ -118,7 +123,7 @@ class Tracker:
         on_map = rows >= 0
         sides = shortest_sides(found.corners_px[on_map])
         decimate = decimate_again(sides, self._size[rows[on_map]], largest_only)
-        self._state = replace(self._state, decimate=decimate)
+        self._state = replace(self._state, searched=True, decimate=decimate)
 
     def _by_prior(self, prior: PosePrior, largest_only: bool) -> float | None:
         """By the tags that a prior puts into the image; None: none."""

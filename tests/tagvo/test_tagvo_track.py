@@ -345,7 +345,7 @@ def test_decimation_follows_the_tags_that_are_needed():
     assert decimate_needed(2.0 * sides, size, False) == 3.0
     both = np.r_[sides, 45.0, 90.0], np.r_[size, 0.23, 0.46]
     assert decimate_needed(*both, False) == 1.5  # eight tags are needed
-    assert decimate_needed(*both, True) == 4.0  # the two largest sizes alone
+    assert decimate_needed(*both, True) == 3.0  # the two largest sizes alone
 
 
 def asking(asked):
