@@ -149,6 +149,8 @@ def track_image(
                 w = _anchor_worth(facts[i], quads_px[i], quads_px, rows, found)
                 if w > worth:
                     best, worth = i, w
+        if best < 0:  # none left: some were in view by the prior alone
+            break
         done[best] = True
         if found > 0 and not _foresee(
             R, p, P, tags, lens, best, limits[2], quads_n[best], quads_px[best], facts[best], s

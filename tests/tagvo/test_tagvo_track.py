@@ -266,6 +266,22 @@ def test_a_wrong_prior_is_searched_whole_in_the_same_frame():
     assert np.linalg.norm(trace.pose.p_WC - p_WC) < 0.005
 
 
+def test_a_tag_in_view_by_the_prior_alone_holds_nothing_up():
+    """Two tags; at the camera's true height one is smaller than the least side. (It hung.)"""
+    image, R_WC, p_WC, _ = view(1, 1.2)
+    rows, px = corners_seen(MAP, CAMERA, R_WC, p_WC, 12.0)
+    rows = rows[np.argsort(geo.shortest_sides(px[rows]))]
+    pair = MAP.only(MAP.tag_id[[rows[0], rows[-1]]])
+    lower, got = prior_of(R_WC, p_WC - np.array([0.0, 0.0, 0.025])), []
+    for share in np.linspace(0.99, 1.03, 9):
+        least = share * geo.shortest_sides(px[rows[:1]])[0]
+        tracker = Tracker(CAMERA, pair, TrackConfig(mode="on", sweep_s=0.0, min_side_px=least))
+        got.append(tracker(image, 0, lower, lambda *_: no_detections()))
+    assert got[0].tried == 2
+    assert got[-1].tried == 1
+    assert all(MAP.tag_id[rows[-1]] in g.detections.tag_id for g in got)
+
+
 def test_tracked_frames_give_the_pose_that_detected_ones_give():
     for seed in range(3):
         image, R_WC, p_WC, rng = view(seed, 1.0)
