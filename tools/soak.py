@@ -2,6 +2,7 @@
 """The daemon for ten minutes at 30 Hz and a 200 Hz IMU against an in-test autopilot.
 
     python tools/soak.py [--minutes 10] [--rate 30] [--core 0] [--keep DIR]
+                         [--set tagvo.track.mode=on ...]
 
 Says whether anything was lost, how old poses are on arrival, how much memory it gained after the
 first minute, and what share of a core it took; --core: the daemon runs on that core alone.
@@ -25,17 +26,19 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=30.0, help="frames a second")
     parser.add_argument("--core", type=int, help="that the daemon is bound to")
     parser.add_argument("--keep", type=Path, help="an empty folder that is kept")
+    parser.add_argument("--set", action="append", default=[], help="KEY=VALUE of the daemon")
     chosen = parser.parse_args()
+    words = [word for value in chosen.set for word in ("--set", value)]
     with tempfile.TemporaryDirectory() as temporary:
-        run(chosen.keep or Path(temporary), chosen.minutes * 60.0, chosen.rate, chosen.core)
+        run(chosen.keep or Path(temporary), chosen.minutes * 60.0, chosen.rate, chosen.core, words)
 
 
-def run(folder: Path, seconds: float, rate_hz: float, core: int | None) -> None:
+def run(folder: Path, seconds: float, rate_hz: float, core: int | None, words: list[str]) -> None:
     def each(k: int, daemon: object) -> None:
         if k % 10 == 0:
             print(f"\r{k:5d} of {seconds:.0f} s", end="", file=sys.stderr, flush=True)
 
-    done = soak(folder, seconds, rate_hz=rate_hz, core=core, each_second=each)
+    done = soak(folder, seconds, rate_hz=rate_hz, core=core, words=words, each_second=each)
     print(file=sys.stderr)
     status = done.status
     imu_hz, pose_hz = done.imu_sent / done.seconds, done.got / done.seconds

@@ -86,17 +86,18 @@ def cpu_s(pid):
     return (int(fields[11]) + int(fields[12])) / _TICK
 
 
-def soak(folder, seconds, *, rate_hz=30.0, core=None, each_second=lambda k, daemon: None):
+def soak(folder, seconds, *, rate_hz=30.0, core=None, words=(), each_second=lambda k, daemon: None):
     """Fly for so long from the first pose on; folder: empty, for images and recording.
 
     core: the daemon has this one alone, with all its threads; None: it runs where it likes.
+    words: more of its command line.
     """
     port = free_port()
     write_images(folder / "images")
     config = write_config(folder, port, rate_hz=rate_hz)
     rss = []
     pinned = () if core is None else ("taskset", "-c", str(core))
-    with Live(udp_to(port), Steady) as live, Daemon(config, before=pinned) as daemon:
+    with Live(udp_to(port), Steady) as live, Daemon(config, *words, before=pinned) as daemon:
         until(lambda: live.fc.heard.get(VISION), 120.0, "vision")
         pid, fc, start = daemon.process.pid, live.fc, time.monotonic()
         before, cpu = (fc.imu_sent, len(fc.heard[VISION]), len(fc.fused)), cpu_s(pid)
