@@ -123,7 +123,7 @@ class TagVO:
     def trace(self, frame: Frame, prior: PosePrior | None = None) -> Trace:
         """The pose of the camera at this frame with every intermediate."""
         cfg, lap = self.config, self._lap
-        found, how = self._detect(frame, prior)
+        found, how = self.find(frame, prior)
         lap("detect")
         det, rows, counts = filter_detections(
             found, self.tag_map, cfg.filters, self.camera.resolution
@@ -160,12 +160,13 @@ class TagVO:
 
     def detect(self, frame: Frame) -> Detections:
         """Tags of a frame that brings its own, or found in its image with a sigma each corner."""
-        return self._detect(frame, None)[0]
+        return self.find(frame, None)[0]
 
-    def _detect(self, frame: Frame, prior: PosePrior | None) -> tuple[Detections, dict[str, int]]:
+    def find(self, frame: Frame, prior: PosePrior | None) -> tuple[Detections, dict[str, int]]:
         """Tags of a frame that brings its own, tracked by a prior, or found in its image.
 
         Those of an image come with a sigma each corner; the counts say how they were found.
+        TagvoError for a frame without either, and for an image of another size than the camera's.
         """
         if frame.detections is not None:
             return frame.detections, {}

@@ -13,6 +13,7 @@ from fc_live import Live, free_port, udp_to, until
 from still_flight import P_WI, TAGVIO, Daemon, limit_s, write_config, write_images
 
 VISION = "VISION_POSITION_ESTIMATE"
+TRACK = ("--set", "tagvo.track.mode=on")
 
 
 @pytest.fixture(scope="module")
@@ -31,9 +32,9 @@ def vision(live):
     return live.fc.heard.get(VISION, [])
 
 
-def rerun(log, out):
-    done = subprocess.run([*TAGVIO, "run", str(log), "--out", str(out)], capture_output=True,
-                          text=True)  # fmt: skip
+def rerun(log, out, *words):
+    done = subprocess.run([*TAGVIO, "run", str(log), "--out", str(out), *words],
+                          capture_output=True, text=True)  # fmt: skip
     assert done.returncode == 0, done.stderr
     return out
 
@@ -47,6 +48,7 @@ def same_bytes(log, out):
 
 
 def test_flight_end_to_end(place):
+    """By tracking, which the replay of its corners need not know of (images would be searched)."""
     port = free_port()
     config = write_config(place, port, record={"folder": "flights", "images_every": 5,
                                                "min_free_mb": 0})  # fmt: skip
@@ -54,7 +56,7 @@ def test_flight_end_to_end(place):
     notify.bind(str(place / "notify"))
     notify.settimeout(5.0)
     env = {"NOTIFY_SOCKET": str(place / "notify"), "WATCHDOG_USEC": "1000000"}
-    with notify, Live(udp_to(port)) as live, Daemon(config, env=env) as daemon:
+    with notify, Live(udp_to(port)) as live, Daemon(config, *TRACK, env=env) as daemon:
         until(lambda: len(vision(live)) > 80, 60.0, "vision")
         until(lambda: settled(daemon.status()), 20.0, "status")
         status = daemon.status()
@@ -66,10 +68,13 @@ def test_flight_end_to_end(place):
         assert took < limit_s(1.0)
     check_words(words)
     check_status(status)
+    counters = status["counters"]
+    assert counters["tracked_frames"] > 0.5 * counters["detected"]
+    assert counters["search_no_prior"] > 0
     check_poses(live)
     assert "stopped: no more poses" in " ".join(m.text for _, m in live.fc.heard["STATUSTEXT"])
     log = daemon.log()
-    same_bytes(log, rerun(log, place / "out"))
+    same_bytes(log, rerun(log, place / "out", "--detections"))
     run = json.loads((place / "out/run.json").read_text())
     assert run["frames"]["fused"] > 50
     assert len(list((log / "mav0/cam0/data").glob("*.png"))) >= 10

@@ -275,10 +275,13 @@ def test_detection_drops_what_it_cannot_keep_up_with_and_outlives_faults():
         camera = pinhole(width=2, height=2)
 
         def detect(self, frame):
+            return self.find(frame, None)[0]
+
+        def find(self, frame, prior):
             time.sleep(0.05)
             if frame.t_ns == 1:
                 raise RuntimeError("a bug")
-            return found(np.random.default_rng(0))
+            return found(np.random.default_rng(0)), {"tracked_frames": 1}
 
     latest, seen = Latest(), []
     detection = Detection(latest, Slow(), seen.append)
@@ -288,7 +291,9 @@ def test_detection_drops_what_it_cannot_keep_up_with_and_outlives_faults():
         time.sleep(0.01)
     latest.close()
     detection.join(2.0)
-    assert detection.counters == {"detection_faults": 1, "detected": len(seen)}
+    assert detection.counters == {
+        "detection_faults": 1, "detected": len(seen), "tracked_frames": len(seen)
+    }  # fmt: skip
     assert len(seen) + latest.dropped + 1 == 20
     assert seen[-1].t_ns == 20, "the newest wins"
     assert all(f.detections is not None for f in seen)

@@ -1,10 +1,11 @@
 """The filter's arm that flies: what it says goes to the flight controller, sample by sample."""
 
+import threading
 from collections.abc import Callable
 from typing import Protocol
 
 from tagvo.pipeline import TagVO
-from tagvo.records import Frame, Observations, PoseMeasurement
+from tagvo.records import Frame, Observations, PoseMeasurement, PosePrior
 from vio.arms import Output
 from vio.daemon.clock import FlightClock
 from vio.estimator import Estimator
@@ -28,7 +29,8 @@ class Link(Protocol):
 class FlightArm(VioArm):
     """`vio`, and each of its states at a capture (or wanted in between) offered to a link.
 
-    health, counters: the filter's last word on itself, for other threads to read.
+    health, counters: the filter's last word on itself, for other threads to read; `foresee` is for
+    the thread that tracks.
     """
 
     def __init__(
@@ -46,10 +48,12 @@ class FlightArm(VioArm):
         self.counters: dict[str, int] = {}
         self._link, self._clock, self._note = link, clock, note
         self._samples = 0
+        self._lock = threading.Lock()  # held while the filter changes
 
     def imu(self, sample: ImuSample) -> Output | None:
         """The state at this sample; one goes out where the link wants it."""
-        output = super().imu(sample)
+        with self._lock:
+            output = super().imu(sample)
         wanted = self._link.wanted()
         if wanted is not None:
             self._offer(self._clock.to_log(wanted), False)
@@ -62,9 +66,22 @@ class FlightArm(VioArm):
         self, frame: Frame, measured: PoseMeasurement | None, seen: Observations | None = None
     ) -> Output | None:
         """Fuse a frame; the state at its capture goes out."""
-        output = super().pose(frame, measured, seen)
+        with self._lock:
+            output = super().pose(frame, measured, seen)
         self._offer(frame.t_ns, True)
         return output
+
+    def ground(self, on_ground: bool) -> None:
+        """On the ground the filter takes a velocity of zero."""
+        with self._lock:
+            super().ground(on_ground)
+
+    def foresee(self, t_ns: int) -> PosePrior | None:
+        """As `prior`, from any thread; None also where the IMU has not come near the stamp."""
+        with self._lock:
+            if self.estimator.moment(t_ns) is None:
+                return None
+            return self.estimator.prior(t_ns)
 
     def _offer(self, t_ns: int, captured: bool) -> None:
         moment = self.estimator.moment(t_ns)

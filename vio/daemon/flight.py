@@ -54,7 +54,6 @@ class Flight:
         self.latest = Latest()
         config = parts.config
         self._vo = TagVO(parts.camera, parts.tag_map, config.tagvo)
-        self.detection = Detection(self.latest, self._vo, self.events.put)
         self._watch = Stopwatch(_KEEP)
         loop_vo = TagVO(parts.camera, parts.tag_map, config.tagvo, lap=self._watch.lap)
         core = flt.Estimator(
@@ -65,6 +64,9 @@ class Flight:
         corners = config.vio.update == "corners"
         self.arm = FlightArm(core, loop_vo, corners, bridge, clock, note)
         self._loop_vo, self._camera = loop_vo, parts.camera
+        tracks = config.tagvo.track.mode == "on"
+        foresee = self.arm.foresee if tracks else _nowhere
+        self.detection = Detection(self.latest, self._vo, self.events.put, foresee)
         self._ask_prior = config.tagvo.ambiguity == "prior"
         self._stop, self._more = stop, counters
         self.result = RunResult(keep=False)
@@ -180,6 +182,10 @@ class Flight:
         for part in parts:
             merged |= part
         return {name: n for name, n in sorted(merged.items()) if n}
+
+
+def _nowhere(t_ns: int) -> PosePrior | None:
+    return None
 
 
 def _no_look(trace: Trace) -> None:

@@ -34,7 +34,7 @@ from vio.sources.live_camera import LiveCamera
 from vio.sources.live_grab import Grabber, open_camera
 from vio.sources.live_imu import MavlinkImu
 from vio.sources.log import FlightLog
-from vio.warmup import warm_up
+from vio.warmup import warm_tracker, warm_up
 
 LOG = logging.getLogger("vio.daemon")
 _LOOK_S = 0.25
@@ -50,7 +50,7 @@ def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | Non
     """
     parts, bridge, open_it = check(config, path)
     where = path.parent
-    warm_up(parts.camera, config.tagvo, config.vio)
+    _warm(parts)
     _settle()
     systemd = Systemd()
     with _link(bridge):
@@ -66,6 +66,13 @@ def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | Non
         bridge.listen(imu.heard)
         flight.view = _view(flight, parts, where, time.time_ns() - time.monotonic_ns())
         return _fly(flight, camera, systemd, _status_file(config, where))
+
+
+def _warm(parts: Parts) -> None:
+    config = parts.config
+    warm_up(parts.camera, config.tagvo, config.vio)
+    if config.tagvo.track.mode == "on":
+        warm_tracker(parts.tag_map, parts.camera, config.tagvo.track)
 
 
 def _settle() -> None:
@@ -207,7 +214,7 @@ def replay(
         update={"imu": config.mavlink.imu.model_copy(update={"message": "none"})}
     )
     bridge = Bridge(link, *imu_in_body(config))
-    warm_up(log.camera, config.tagvo, config.vio)
+    _warm(parts)
     _settle()
     with _link(bridge):
         if not _met(bridge, _REPLAY_WAIT_S, stop, Systemd({})):

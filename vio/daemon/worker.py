@@ -1,7 +1,8 @@
 """Looks for tags in a thread of its own: the filter's loop takes IMU samples meanwhile.
 
-The detector is C code that lets other threads run; what comes after it takes a millisecond and is
-done by the loop, from corners alone, so that a recording of the corners replays to the same bits.
+Detector and tracker are compiled and let other threads run; what comes after takes a millisecond
+and is done by the loop, from corners alone, so that a recording of the corners replays to the same
+bits.
 """
 
 import logging
@@ -14,7 +15,7 @@ import numpy as np
 
 from tagvo.errors import TagvoError
 from tagvo.pipeline import TagVO
-from tagvo.records import Frame
+from tagvo.records import Frame, PosePrior
 from vio.sources.live_camera import Latest
 from vio.stopwatch import Stopwatch
 
@@ -25,8 +26,15 @@ _KEEP = 900  # frames whose time is remembered
 class Detection:
     """Takes the newest image, hands on the frame with its tags; `watch` times it."""
 
-    def __init__(self, latest: Latest, vo: TagVO, hand_on: Callable[[Frame], None]) -> None:
-        self._latest, self._vo, self._hand_on = latest, vo, hand_on
+    def __init__(
+        self,
+        latest: Latest,
+        vo: TagVO,
+        hand_on: Callable[[Frame], None],
+        prior: Callable[[int], PosePrior | None] = lambda t_ns: None,
+    ) -> None:
+        """prior: where the camera should be at a stamp, for tracking; asked in this thread."""
+        self._latest, self._vo, self._hand_on, self._prior = latest, vo, hand_on, prior
         self.watch = Stopwatch(_KEEP)
         self.counters: Counter[str] = Counter()
         self._thread = threading.Thread(target=self._live, name="detection", daemon=True)
@@ -46,7 +54,7 @@ class Detection:
         while (frame := self._latest.take()) is not None:
             try:
                 self.watch.start()
-                found = self._vo.detect(frame)
+                found, how = self._vo.find(frame, self._prior(frame.t_ns))
                 self.watch.lap("detect")
             except TagvoError as err:
                 self._count("detection_refused", str(err))
@@ -54,7 +62,7 @@ class Detection:
                 LOG.exception("detection goes on after a fault")
                 self.counters["detection_faults"] += 1
             else:
-                self.counters["detected"] += 1
+                self.counters.update({"detected": 1, **how})
                 self._hand_on(replace(frame, detections=found))
 
     def _count(self, what: str, text: str) -> None:
