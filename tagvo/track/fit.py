@@ -29,6 +29,7 @@ _STRAIGHT_PX = 40.0  # sides up to this bend by less than a tenth of a pixel in 
 _MIN_CORRELATION = 0.55
 _SHARP_PX = 0.55  # spread of a sharp edge, as in `tagvo.detect.blur`
 _BLEED = 10.5  # systematic error of a blurred corner, as there
+_UNSURE_PX, _UNLIKE = 0.3, 6.0  # of a side: sigma, and over its opposite's, that make it doubtful
 _FLOOR_PX = 0.03  # of a fitted corner: what no residual shows
 
 
@@ -148,6 +149,21 @@ def _corner_sigmas(lines: Array, quad_px: Array, cell_px: float, sigma: Array) -
 
 
 @bare
+def _sides_alike(lines: Array, quad_px: Array, cell_px: float) -> bool:
+    """Whether both sides of either pair are about as sure: they see the same light and blur.
+
+    One much less sure than its opposite runs partly along something else, off by pixels.
+    """
+    for k in range(2):
+        a = _side_variance(lines[k], quad_px[k], quad_px[k + 1], cell_px)
+        b = _side_variance(lines[k + 2], quad_px[k + 2], quad_px[(k + 3) % 4], cell_px)
+        high, low = max(a, b), min(a, b)
+        if high > _UNSURE_PX * _UNSURE_PX and high > _UNLIKE * _UNLIKE * low:
+            return False
+    return True
+
+
+@bare
 def _side_variance(line: Array, a: Array, b: Array, cell_px: float) -> float:
     """Variance of a fitted side at its ends a, b (2,) [px^2]; line (7,) of `fit_side`."""
     rms, spread = line[2], line[3]
@@ -182,6 +198,8 @@ def track_tag(
         if fate == TRACKED:
             wrong, margin = _check(image, tags, i, lens, quad_n, quad_px, cell_px, limits, s)
             fate = NOT_IT if wrong < 0 else TRACKED
+    if fate == TRACKED and not _sides_alike(s.lines, quad_px, cell_px):
+        fate = NO_EDGE
     if fate == TRACKED:
         _corner_sigmas(s.lines, quad_px, cell_px, corner_sigma)
     return fate, max(wrong, 0), margin

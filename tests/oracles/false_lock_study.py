@@ -117,7 +117,7 @@ def study(images: int, priors: int, seed: int, step=lambda: None) -> Tally:
         _, mapped = corners_seen(tag_map, camera, R_WC, p_WC)
         for _ in range(priors):
             prior = prior_near(R_WC, p_WC, rng, camera.intrinsics[0])
-            got = tracker(image, 0, prior, lambda part: no_detections())
+            got = tracker(image, 0, prior, lambda *_: no_detections())
             tally.frames[scene] += 1
             tally.causes.update(got.counts)
             if got.detections is not None:
