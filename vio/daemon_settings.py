@@ -45,6 +45,7 @@ class DaemonConfig(_Model):
     calibration: str | None = None
     imu_noise: str | None = None
     camera: CameraConfig = CameraConfig()
+    detection_threads: int = Field(default=1, ge=1, le=8)
     record: RecordConfig = RecordConfig()
     live: LiveConfig = LiveConfig()
     status_file: str | None = None

@@ -29,6 +29,10 @@ class Stopwatch:
         self._of(stage).append(now - self._last)
         self._last = now
 
+    def add(self, stage: str, ns: int) -> None:
+        """A stage that ran elsewhere took so long [ns]."""
+        self._of(stage).append(ns)
+
     def stop(self) -> None:
         """The frame has ended; its whole duration is `total`."""
         self._of("total").append(time.perf_counter_ns() - self._start)

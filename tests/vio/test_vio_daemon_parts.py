@@ -284,7 +284,7 @@ def test_detection_drops_what_it_cannot_keep_up_with_and_outlives_faults():
             return found(np.random.default_rng(0)), {"tracked_frames": 1}
 
     latest, seen = Latest(), []
-    detection = Detection(latest, Slow(), seen.append)
+    detection = Detection(latest, [Slow()], seen.append)
     detection.start()
     for t in range(1, 21):
         latest.put(Frame(t, np.zeros((2, 2), np.uint8)))
@@ -297,6 +297,41 @@ def test_detection_drops_what_it_cannot_keep_up_with_and_outlives_faults():
     assert len(seen) + latest.dropped + 1 == 20
     assert seen[-1].t_ns == 20, "the newest wins"
     assert all(f.detections is not None for f in seen)
+
+
+def test_two_detections_look_at_more_images_and_never_go_back():
+    """Odd frames take four times as long as even ones: some are overtaken."""
+
+    class Uneven:
+        camera = pinhole(width=2, height=2)
+
+        def detect(self, frame):
+            return self.find(frame, None)[0]
+
+        def find(self, frame, prior):
+            time.sleep(0.08 if frame.t_ns % 2 else 0.02)
+            return found(np.random.default_rng(0)), {}
+
+    def looked(threads):
+        latest, seen = Latest(), []
+        detection = Detection(latest, [Uneven() for _ in range(threads)], seen.append)
+        detection.start()
+        for t in range(1, 41):
+            latest.put(Frame(t, np.zeros((2, 2), np.uint8)))
+            time.sleep(0.01)
+        latest.close()
+        detection.join(2.0)
+        counters = detection.counters
+        assert counters["detected"] == 40 - latest.dropped
+        assert counters["detected"] == len(seen) + counters["detection_overtaken"]
+        stamps = [f.t_ns for f in seen]
+        assert stamps == sorted(set(stamps))
+        return counters
+
+    one, two = looked(1), looked(2)
+    assert one["detection_overtaken"] == 0
+    assert two["detection_overtaken"] > 0
+    assert two["detected"] > 1.3 * one["detected"]
 
 
 def test_the_meter_knows_each_frame_by_its_stamp():

@@ -53,7 +53,6 @@ class Flight:
         self.events = LiveEvents(stop, lambda: clock.to_log(time.monotonic_ns()))
         self.latest = Latest()
         config = parts.config
-        self._vo = TagVO(parts.camera, parts.tag_map, config.tagvo)
         self._watch = Stopwatch(_KEEP)
         loop_vo = TagVO(parts.camera, parts.tag_map, config.tagvo, lap=self._watch.lap)
         core = flt.Estimator(
@@ -66,7 +65,11 @@ class Flight:
         self._loop_vo, self._camera = loop_vo, parts.camera
         tracks = config.tagvo.track.mode == "on"
         foresee = self.arm.foresee if tracks else _nowhere
-        self.detection = Detection(self.latest, self._vo, self.events.put, foresee)
+        vos = [
+            TagVO(parts.camera, parts.tag_map, config.tagvo)
+            for _ in range(config.daemon.detection_threads)
+        ]
+        self.detection = Detection(self.latest, vos, self.events.put, foresee)
         self._ask_prior = config.tagvo.ambiguity == "prior"
         self._stop, self._more = stop, counters
         self.result = RunResult(keep=False)
