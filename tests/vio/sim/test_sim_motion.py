@@ -32,9 +32,9 @@ def some_course(seed):
     return crs.shaken(course, sines(rng, channels=3, size=0.02), window), window
 
 
-def slope(f, t):
+def slope(f, t, h=H):
     """Fourth-order central difference of f at times (n,)."""
-    return (8 * (f(t + H) - f(t - H)) - (f(t + 2 * H) - f(t - 2 * H))) / (12 * H)
+    return (8 * (f(t + h) - f(t - h)) - (f(t + 2 * h) - f(t - 2 * h))) / (12 * h)
 
 
 @given(seed=seeds)
@@ -44,9 +44,11 @@ def test_each_derivative_is_the_slope_of_the_one_before(seed):
     t = np.random.default_rng(seed).uniform(0.0, 33.0, 40)
     values = course(t)
     for order in range(crs.ORDERS - 1):
-        numeric = slope(lambda x, k=order: course(x)[k], t)
+        numeric, rough = (slope(lambda x, k=order: course(x)[k], t, h) for h in (H, 1.7 * H))
         scale = 1.0 + np.abs(values[order + 1]).max()
-        assert_allclose(values[order + 1], numeric, atol=2e-6 * scale)
+        smooth = np.abs(numeric - rough).max(axis=1) < 2e-6 * scale  # else across a joint
+        assert smooth.sum() >= len(t) - 3
+        assert_allclose(values[order + 1][smooth], numeric[smooth], atol=3e-6 * scale)
 
 
 @pytest.mark.parametrize(
