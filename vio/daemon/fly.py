@@ -16,6 +16,7 @@ from vio.daemon.clock import FlightClock
 from vio.daemon.flight import Counters, Flight, start_status
 from vio.daemon.ground import GroundJudge
 from vio.daemon.notify import Systemd
+from vio.daemon.pages import give_back
 from vio.daemon.player import Player
 from vio.daemon.prepare import (
     Parts,
@@ -78,9 +79,10 @@ def _warm(parts: Parts) -> None:
 def _settle() -> None:
     """What is loaded stays: the collector need not look through it again, up to 0.1 s a time.
 
-    And no thread of Python's keeps another waiting for long.
+    The compiler goes, and no thread of Python's keeps another waiting for long.
     """
     gc.freeze()
+    give_back("libllvmlite")
     sys.setswitchinterval(_SWITCH_S)
 
 
