@@ -54,6 +54,15 @@ def warm_up(
     return trace.pose
 
 
+def warm_all(
+    tag_map: TagMap, camera: Camera, config: TagvoConfig, vio: VioConfig | None = None
+) -> None:
+    """All that a run with these settings needs; vio as in `warm_up`."""
+    warm_up(camera, config, vio)
+    if config.track.mode == "on":
+        warm_tracker(tag_map, camera, config.track)
+
+
 def warm_tracker(tag_map: TagMap, camera: Camera, config: TrackConfig | None = None) -> None:
     """Track a picture of nothing, so that the tracker's code is there before the first frame."""
     width, height = camera.resolution

@@ -5,50 +5,24 @@ import pytest
 from oracles.false_lock_study import OFF_PX, lens, study
 from oracles.vision import central_difference
 from scipy.optimize import least_squares
-from simulated import arena, corners_seen, pinhole, pose_above
+from simulated import corners_seen, pinhole, pose_above
+from track_views import CAMERA, COV, HIGH, LOW, MAP, TRACK, prior_of, view
 
 from tagvo import geometry as geo
 from tagvo.bitmaps import tag_bitmap
 from tagvo.camera import project
-from tagvo.config import TagvoConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.errors import TagvoError
 from tagvo.families import FAMILIES
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, PosePrior
-from tagvo.render import Look, render_view
 from tagvo.track import TrackConfig, Tracker
 from tagvo.track.cells import FLAT, Lens, lens_of, map_arrays, printed_cells
 from tagvo.track.gate import (
-    GateState,
     admitted,
-    decimate_needed,
-    looks_mosaic,
-    strip_due,
-    tracking_failed,
 )
 from tagvo.track.predict import corner_spread, laying_px, posterior, project_tag
 from tagvo.track.verify import is_there
-
-CAMERA, MAP = lens(), arena()
-LOW, HIGH = MAP.p_WT[:, :2].min(axis=0) + 0.4, MAP.p_WT[:, :2].max(axis=0) - 0.4
-COV = np.diag([0.01**2] * 3 + [np.radians(0.5) ** 2] * 3)
-TRACK = TagvoConfig.model_validate({"track": {"mode": "on"}})
-
-
-def view(seed, height=1.2, **keys):
-    rng = np.random.default_rng(seed)
-    R_WC, p_WC = pose_above(rng, height, LOW, HIGH)
-    image = render_view(
-        MAP, CAMERA, R_WC, p_WC, look=Look(texture=12.0), supersample=3, rng=rng,
-        **{"noise_sigma": 2.5, **keys},
-    )  # fmt: skip
-    return image, R_WC, p_WC, rng
-
-
-def prior_of(R_WC, p_WC, rng=None, cov=COV, t_ns=0):
-    xi = np.zeros(6) if rng is None else np.linalg.cholesky(cov) @ rng.standard_normal(6)
-    return PosePrior(t_ns, p_WC + xi[:3], R_WC @ geo.exp(xi[3:]), cov)
 
 
 def projected(R_WC, p_WC, i):
@@ -319,88 +293,6 @@ def test_what_a_strip_contradicts_is_dropped_and_the_next_frame_searched():
     after = tracker(image, 1_000_000, prior_of(R_WC, p_WC, t_ns=1_000_000), search)
     assert after.detections is None
     assert after.counts == {"search_contradiction": 1}
-
-
-@pytest.mark.parametrize("height", [480, 481, 720, 1232])
-@pytest.mark.parametrize("hz", [10.0, 30.0, 60.0])
-def test_strips_cover_the_image_within_a_sweep(height, hz):
-    config, state, seen = TrackConfig(mode="on"), GateState(), np.zeros(height, dtype=bool)
-    for k in range(round(hz * config.sweep_s)):
-        strip = strip_due(state, config, 10**18 + round(k / hz * 1e9), height, 40)
-        if strip is not None:
-            state = replace(state, strip=strip.index)
-            seen[strip.top : strip.bottom] = True
-    assert seen.all()
-    assert strip_due(state, TrackConfig(sweep_s=0.0), 0, height, 40) is None
-
-
-def test_a_raw_mosaic_is_seen_and_no_grey_image_is_taken_for_one():
-    for seed, height in enumerate((0.5, 0.8, 1.2, 2.0)):
-        image = view(seed, height)[0]
-        raw = image.copy()
-        raw[::2, ::2] = raw[::2, ::2] * 0.7
-        assert not looks_mosaic(image)
-        assert looks_mosaic(raw)
-    stripes = np.tile(np.array([[0, 255]], dtype=np.uint8), (480, 320))
-    assert not looks_mosaic(stripes)
-    assert not looks_mosaic(np.ascontiguousarray(stripes.T))
-
-
-def test_too_little_tracked_is_no_tracking():
-    config = TrackConfig(min_tags=3, min_share=0.5)
-    assert tracking_failed(0, 0, config) == "none_in_view"
-    assert tracking_failed(2, 2, config) == "too_few"
-    assert tracking_failed(4, 9, config) == "too_small_a_share"
-    assert tracking_failed(5, 9, config) is None
-
-
-def test_decimation_follows_the_tags_that_are_needed():
-    sides, size = np.full(20, 18.0), np.full(20, 0.0575)
-    assert decimate_needed(np.zeros(0), np.zeros(0), False) is None
-    assert decimate_needed(sides, size, False) == 1.5
-    assert decimate_needed(2.0 * sides, size, False) == 3.0
-    both = np.r_[sides, 45.0, 90.0], np.r_[size, 0.23, 0.46]
-    assert decimate_needed(*both, False) == 1.5  # eight tags are needed
-    assert decimate_needed(*both, True) == 3.0  # the two largest sizes alone
-
-
-def asking(asked):
-    """A search that finds nothing and keeps what decimation it was asked for."""
-
-    def search(part, decimate):
-        asked.append(decimate)
-        return no_detections()
-
-    return search
-
-
-@pytest.mark.parametrize(
-    ("seed", "height", "decimate"), [(5, 0.5, 4.0), (5, 0.8, 3.0), (3, 0.8, 2.0)]
-)
-def test_strips_are_decimated_by_what_the_prior_puts_into_the_image(seed, height, decimate):
-    image, R_WC, p_WC, _ = view(seed, height)
-    asked, tracker = [], Tracker(CAMERA, MAP, TrackConfig(mode="on", strips=1))
-    got = tracker(image, 0, prior_of(R_WC, p_WC), asking(asked))
-    assert got.counts["strips"] == 1
-    assert asked == [decimate]
-
-
-def test_a_search_without_a_prior_learns_from_the_last_how_far_to_decimate():
-    """Large tags; then none are found, and the search is as fine as at first."""
-    large = view(5, 0.5)[0]
-    vo, asked = TagVO(CAMERA, MAP, TRACK), []
-    inner = vo._search
-
-    def search(gray, decimate=None):
-        asked.append(decimate)
-        return inner(gray, decimate)
-
-    vo._search = search
-    for k, image in enumerate((large, large, np.zeros_like(large), large)):
-        trace = vo.trace(Frame(k, image))
-        assert trace.counts["search_no_prior"] == 1
-    assert asked == [None, 4.0, 4.0, None]
-    assert trace.pose is not None
 
 
 def test_no_false_lock_under_wrong_priors_and_disturbed_floors():

@@ -9,17 +9,27 @@ from vio.daemon.pages import clean_spans, give_back
 SMAPS = """\
 1000-3000 r-xp 00000000 08:01 7    /opt/lib/libllvmlite.so
 Rss:                   8 kB
-Private_Dirty:         0 kB
+Anonymous:             0 kB
+Swap:                  0 kB
+SwapPss:               0 kB
 3000-4000 r--p 00002000 08:01 7    /opt/lib/libllvmlite.so
-Private_Dirty:         4 kB
+Anonymous:             4 kB
+Swap:                  0 kB
 4000-5000 rw-p 00003000 08:01 7    /opt/lib/libllvmlite.so
-Private_Dirty:         0 kB
+Anonymous:             0 kB
+Swap:                  0 kB
 5000-6000 r-xp 00000000 08:01 8    /opt/lib/libc.so
-Private_Dirty:         0 kB
+Anonymous:             0 kB
+Swap:                  0 kB
 6000-9000 rw-p 00000000 00:00 0
-Private_Dirty:         0 kB
+Anonymous:             0 kB
+Swap:                  0 kB
 9000-b000 r--p 00004000 08:01 7    /opt/my libs/libllvmlite.so
-Private_Dirty:         0 kB
+Anonymous:             0 kB
+Swap:                  0 kB
+b000-c000 r--p 00006000 08:01 7    /opt/my libs/libllvmlite.so
+Anonymous:             0 kB
+Swap:                  4 kB
 """
 
 

@@ -11,6 +11,7 @@ from fc_live import until
 from flights import fly
 from simulated import grid_map, pinhole
 
+from tagvo.detect.protocol import no_detections
 from tagvo.records import Detections, Frame
 from vio.arms import Output
 from vio.daemon.clock import FlightClock
@@ -299,39 +300,37 @@ def test_detection_drops_what_it_cannot_keep_up_with_and_outlives_faults():
     assert all(f.detections is not None for f in seen)
 
 
-def test_two_detections_look_at_more_images_and_never_go_back():
-    """Odd frames take four times as long as even ones: some are overtaken."""
+def test_a_frame_that_a_later_one_has_overtaken_is_dropped_and_counted():
+    """The first frame is held up until the second, in the other thread, is handed on."""
+    begun, handed = threading.Event(), threading.Event()
 
-    class Uneven:
+    class Held:
         camera = pinhole(width=2, height=2)
 
         def detect(self, frame):
-            return self.find(frame, None)[0]
+            return no_detections()
 
         def find(self, frame, prior):
-            time.sleep(0.08 if frame.t_ns % 2 else 0.02)
-            return found(np.random.default_rng(0)), {}
+            if frame.t_ns == 1:
+                begun.set()
+                assert handed.wait(5.0)
+            return no_detections(), {}
 
-    def looked(threads):
-        latest, seen = Latest(), []
-        detection = Detection(latest, [Uneven() for _ in range(threads)], seen.append)
-        detection.start()
-        for t in range(1, 41):
-            latest.put(Frame(t, np.zeros((2, 2), np.uint8)))
-            time.sleep(0.01)
-        latest.close()
-        detection.join(2.0)
-        counters = detection.counters
-        assert counters["detected"] == 40 - latest.dropped
-        assert counters["detected"] == len(seen) + counters["detection_overtaken"]
-        stamps = [f.t_ns for f in seen]
-        assert stamps == sorted(set(stamps))
-        return counters
+    def hand_on(frame):
+        seen.append(frame.t_ns)
+        handed.set()
 
-    one, two = looked(1), looked(2)
-    assert one["detection_overtaken"] == 0
-    assert two["detection_overtaken"] > 0
-    assert two["detected"] > 1.3 * one["detected"]
+    latest, seen, image = Latest(), [], np.zeros((2, 2), np.uint8)
+    detection = Detection(latest, [Held(), Held()], hand_on)
+    detection.start()
+    latest.put(Frame(1, image))
+    assert begun.wait(5.0)
+    latest.put(Frame(2, image))
+    assert handed.wait(5.0)
+    latest.close()
+    detection.join(5.0)
+    assert seen == [2]
+    assert detection.counters == {"detected": 2, "detection_overtaken": 1}
 
 
 def test_the_meter_knows_each_frame_by_its_stamp():

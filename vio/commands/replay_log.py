@@ -17,7 +17,7 @@ from vio.interrupt import gently
 from vio.run import RunResult, run
 from vio.sources.log import FlightLog
 from vio.stopwatch import Stopwatch
-from vio.warmup import warm_tracker, warm_up
+from vio.warmup import warm_all
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -71,9 +71,8 @@ def replay_log(
             " mav0/state_groundtruth_estimate0/data.csv is needed (`tagvio run` needs none)"
         )
     with waiting("loading compiled code (the first run compiles it, up to a minute)"):
-        warm_up(log.camera, config.tagvo, None if vo_only or log.imu is None else config.vio)
-        if config.tagvo.track.mode == "on":
-            warm_tracker(log.tag_map, log.camera, config.tagvo.track)
+        vio_too = None if vo_only or log.imu is None else config.vio
+        warm_all(log.tag_map, log.camera, config.tagvo, vio_too)
     watch = Stopwatch()
     vo = TagVO(log.camera, log.tag_map, config.tagvo, lap=watch.lap)
     vio, warnings = (None, []) if vo_only else _filter(log, config, vo)

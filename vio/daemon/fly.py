@@ -35,7 +35,7 @@ from vio.sources.live_camera import LiveCamera
 from vio.sources.live_grab import Grabber, open_camera
 from vio.sources.live_imu import MavlinkImu
 from vio.sources.log import FlightLog
-from vio.warmup import warm_tracker, warm_up
+from vio.warmup import warm_all
 
 LOG = logging.getLogger("vio.daemon")
 _LOOK_S = 0.25
@@ -51,7 +51,7 @@ def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | Non
     """
     parts, bridge, open_it = check(config, path)
     where = path.parent
-    _warm(parts)
+    warm_all(parts.tag_map, parts.camera, config.tagvo, config.vio)
     _settle()
     systemd = Systemd()
     with _link(bridge):
@@ -67,13 +67,6 @@ def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | Non
         bridge.listen(imu.heard)
         flight.view = _view(flight, parts, where, time.time_ns() - time.monotonic_ns())
         return _fly(flight, camera, systemd, _status_file(config, where))
-
-
-def _warm(parts: Parts) -> None:
-    config = parts.config
-    warm_up(parts.camera, config.tagvo, config.vio)
-    if config.tagvo.track.mode == "on":
-        warm_tracker(parts.tag_map, parts.camera, config.tagvo.track)
 
 
 def _settle() -> None:
@@ -216,7 +209,7 @@ def replay(
         update={"imu": config.mavlink.imu.model_copy(update={"message": "none"})}
     )
     bridge = Bridge(link, *imu_in_body(config))
-    _warm(parts)
+    warm_all(log.tag_map, log.camera, config.tagvo, config.vio)
     _settle()
     with _link(bridge):
         if not _met(bridge, _REPLAY_WAIT_S, stop, Systemd({})):

@@ -14,19 +14,22 @@ _HEAD = re.compile(r"^([0-9a-f]+)-([0-9a-f]+) (\S+) \S+ \S+ \d+\s*(.*)$")
 
 
 def clean_spans(smaps: Iterable[str], name: str) -> Iterator[tuple[int, int]]:
-    """Start and length of what is mapped of files called so, cannot be written and never was.
+    """Start and length [bytes] of what is mapped of files called so and is just as in the file.
 
-    smaps: lines of /proc/PID/smaps. Relocated pages look read-only too, but are dirty: they stay.
+    smaps: lines of /proc/PID/smaps. Relocated pages are read-only too, but differ from the file
+    (they count as anonymous, and as swap once they are there): their spans stay.
     """
-    span = None
+    span, own = None, 0
     for line in smaps:
         head = _HEAD.match(line)
         if head is not None:
             start, end, rights, path = head.groups()
             fits = name in Path(path).name and "w" not in rights
-            span = (int(start, 16), int(end, 16) - int(start, 16)) if fits else None
-        elif span is not None and line.startswith("Private_Dirty:"):
-            if line.split()[1] == "0":
+            span, own = (int(start, 16), int(end, 16) - int(start, 16)) if fits else None, 0
+        elif line.startswith("Anonymous:"):
+            own = int(line.split()[1])
+        elif line.startswith("Swap:") and span is not None:  # stands below Anonymous
+            if own + int(line.split()[1]) == 0:
                 yield span
             span = None
 
