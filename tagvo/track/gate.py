@@ -18,9 +18,7 @@ _SAME_MOMENT_NS = 1_000_000  # a prior is for this frame when its stamp is this 
 _MAX_ROTATION_RAD = float(np.radians(6.0))  # beyond, the covariance is no ellipse in the image
 _DECIMATES = (1.5, 2.0, 3.0, 4.0)
 _SIDE_PX, _ENOUGH_TAGS = 12.0, 8
-_EXACT_PX = (
-    10.0  # of a side after decimation; smaller tags have several times worse corners at 3 and 4
-)
+_EXACT_PX = 10.0  # of a side after decimation; below, corners are worse, at 3 and 4 by times
 _MOSAIC = 0.04  # half the difference of a mosaic's two diagonals, over the mean
 _UNIT = 1e-3  # how far a rotation may be from orthonormal
 _LEAST_VARIANCE, _SINGULAR = 1e-24, 1e-12  # of a coordinate; of what its correlations leave of it
