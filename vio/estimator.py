@@ -14,19 +14,21 @@ from tagvo.tagmap import TagMap
 from vio import layout as at
 from vio.corners import pack
 from vio.health import Health, Signs, judge
+from vio.imu_noise import NoiseMeter, noise_words
 from vio.intake import DEGRADED_NS, ImuIntake, Interval
 from vio.output import camera_prior, moment, nav_state
 from vio.pivot import pose_row
 from vio.records import ImuNoise, ImuSample, Moment, NavState
-from vio.recovery import relocation
+from vio.recovery import LostWatch, relocation
 from vio.rig import RigJudge
 from vio.settings import VioConfig
-from vio.start import Rig, begin, dimension, is_still
+from vio.start import CalibrationBounds, Rig, begin, dimension, is_still, moves
 from vio.window import Window
 
 _JUDGE_NS = 200_000_000  # how often the calibration is judged
 _SLOTS = 256  # measurements that the window remembers
 _START_NS = 1_500_000_000  # how far back the start looks
+_AGAIN_NS = 10_000_000_000  # a reset so soon after a start or a reset: what it kept was wrong
 VERDICTS = {
     at.PENDING: "waiting",
     at.ACCEPTED: "fused",
@@ -36,7 +38,7 @@ VERDICTS = {
     at.SINGULAR: "singular",
 }
 
-FUSED = ("fused", "fused_position", "fused_rotation")
+TAKEN = ("fused",)  # a half alone counts as neither taken nor refused
 REFUSED = ("gated", "singular", "too_old", "too_early", "duplicate")
 # a Pixhawk's over MAVLink: where a log has no imu.yaml
 USUAL_NOISE = ImuNoise(5e-3, 5e-4, 3e-4, 2e-5)
@@ -80,8 +82,10 @@ class Estimator:
         par = np.array([config.r_inflation, config.gate, float(config.r_adapt), share])
         q = process_noise(noise, config)
         self._window = Window(dimension(config), ticks, _SLOTS, width, q, par)
+        stated = np.repeat([noise.gyro_density, noise.accel_density], 3)
+        meter = NoiseMeter(stated, config.vibration, 1.0 / rate)
         limits = config.gyro_max_rad_s, config.accel_max_m_s2
-        self._intake = ImuIntake(1.0 / rate, *limits, config.vibration / noise.accel_density)
+        self._intake = ImuIntake(1.0 / rate, *limits, meter)
         self._intervals: deque[Interval] = deque()
         self._poses: deque[PoseMeasurement] = deque(maxlen=64)
         self._counters: Counter[str] = Counter()
@@ -93,6 +97,10 @@ class Estimator:
         self._newest_nis = np.nan
         self._still_ns = self._judged_ns = 0
         self._resets = 0
+        self._begun_ns = self._turned_ns = 0  # newest start or reset; newest pose taken whole
+        self._lost = LostWatch(config.recovery)
+        self._distrust: tuple[str, ...] = ()
+        self._bounds = CalibrationBounds(config.prior, self._rig)
         self._judge = self._new_judge()
 
     def _new_judge(self) -> RigJudge:
@@ -193,6 +201,11 @@ class Estimator:
         return self._newest_nis
 
     @property
+    def noise_words(self) -> str | None:
+        """What to say of an IMU that is far noisier than its file states; None: it is not."""
+        return noise_words(self._intake.meter.largest, self._intake.meter.stated)
+
+    @property
     def counters(self) -> dict[str, int]:
         """How often each thing has happened, measurements by verdict among them."""
         out = Counter(self._intake.counters) + self._counters
@@ -202,7 +215,8 @@ class Estimator:
     def health(self) -> Health:
         """State with reasons, judged at the newest IMU sample."""
         if not self._started:
-            return judge(None, self._resets, self._waiting, self._config.health)
+            config = self._config.health
+            return judge(None, self._resets, self._waiting, config, self._distrust)
         w = self._window
         P = w.P[w.last]
         sigma_m = float(np.sqrt(np.diag(P)[at.P : at.P + 3].max()))
@@ -212,8 +226,13 @@ class Estimator:
         age = max(0.0, (w.now_ns - self._accepted_ns) * 1e-9)
         ahead = self._newest_ns + round(w.X[w.last, at.X_TD] * 1e9) - w.now_ns
         late_s = max(0.0, ahead * 1e-9)
-        signs = Signs(age, self._rejects, self._nis, sigma_m, sigma_deg, recent, late_s)
-        return judge(signs, self._resets, (), self._config.health)
+        far = self._bounds.calibration_far(w.X[w.last])
+        signs = Signs(age, self._rejects, self._nis, sigma_m, sigma_deg, recent, late_s, far)
+        return judge(signs, self._resets, (), self._config.health, self._distrust)
+
+    def distrust(self, *reasons: str) -> None:
+        """Say why the filter is LOST whatever it says of itself; nothing: it is not."""
+        self._distrust = reasons
 
     def _remember(self, measured: PoseMeasurement) -> bool:
         """Keep a pose for start and recovery; whether it is still to be fused."""
@@ -240,6 +259,10 @@ class Estimator:
     def _stand_still(self, t_ns: int) -> None:
         self._still_ns = t_ns
         w = self._window
+        recent = [p for p in self._poses if p.t_ns > self._newest_ns - _START_NS]
+        if moves(recent):  # on a lift, a boat, in a hand that is very calm
+            self._counters["still_vetoed"] += 1
+            return
         stamp = t_ns - round(w.X[w.last, at.X_TD] * 1e9)
         self._insert(stamp, np.array([at.M_STILL, 1.0, self._config.still_sigma_m_s**2]))
 
@@ -264,14 +287,18 @@ class Estimator:
             self._counters["start_refused"] += 1
             self._poses.popleft()
             return
-        self._window.start(found.t_ns, found.x, found.P)
+        anew = [p.t_ns for p in self._poses if p.t_ns >= poses[0].t_ns]
+        self._window.start(found.t_ns, found.x, found.P, anew)
         for s in steps:
             if s.t_ns > found.t_ns:
                 self._window.add_interval(s.t_ns, s.gyro, s.accel, s.scale)
+        self._counters["start_tilted"] += int(found.tilt_rad > 0.0)
         self._resets += self._started_once
         self._judge = self._new_judge()
         self._started = self._started_once = True
         self._accepted_ns = self._still_ns = self._judged_ns = found.t_ns
+        self._begun_ns = self._turned_ns = found.t_ns
+        self._lost.clear()
         for pose in sorted(self._poses, key=lambda p: p.t_ns):
             if pose.t_ns >= poses[0].t_ns:
                 self._insert(pose.t_ns, pose_row(pose))
@@ -286,20 +313,27 @@ class Estimator:
 
     def _review(self) -> None:
         """After measurements were decided: what health needs, and whether to recover."""
-        w = self._window
+        w, c = self._window, self._config.recovery
         states = w.m_state[: w.count]
         vision = np.flatnonzero((w.m_z[: w.count, 0] <= at.M_CORNERS) & (states != at.PENDING))
+        whole = vision[states[vision] == at.ACCEPTED]
+        if whole.size:
+            self._turned_ns = int(w.m_at[whole[-1]])
         good = vision[_either(states[vision], at.ACCEPTED, at.POSITION_ONLY)]
-        if good.size:
-            self._accepted_ns = int(w.m_at[good[-1]])
+        lately = good[w.m_at[good] - self._turned_ns < c.turned_after_s * 1e9]
+        if lately.size:  # a position alone counts while a whole pose stands behind it
+            self._accepted_ns = int(w.m_at[lately[-1]])
         bad = vision[vision > (good[-1] if good.size else -1)]
         self._rejects = len(bad)
         nis = w.m_nis[vision[-20:]]
         self._nis = median(nis.tolist()) / 6.0 if nis.size else 0.0
         self._newest_nis = float(nis[-1]) / 6.0 if nis.size else np.nan
-        age = (w.now_ns - self._accepted_ns) * 1e-9
-        c = self._config.recovery
-        if len(bad) >= c.rejects and age > c.after_s:
+        believed_ns = int(w.m_at[good[-1]]) if good.size else self._accepted_ns
+        age = (w.now_ns - believed_ns) * 1e-9
+        if not self._distrust and self._lost.asks(self.health(), w.now_ns, self._newest_ns):
+            self._counters["lost_restarts"] += 1
+            self._begin_again(list(self._poses)[-len(bad) :] if bad.size else list(self._poses))
+        elif len(bad) >= c.rejects and age > c.after_s:
             self._recover(w.m_t[bad[-c.rejects :]])
         else:
             self._review_rotations(vision, states)
@@ -325,7 +359,12 @@ class Estimator:
         poses = [known[t] for t in stamps.tolist() if t in known]
         if len(poses) < self._config.recovery.rejects:
             return
-        move = relocation(self._window, poses, self._config.recovery)
+        w = self._window
+        soon = w.now_ns - self._begun_ns < _AGAIN_NS
+        if soon or self._bounds.implausible(w.X[w.last]):
+            self._begin_again(poses)
+            return
+        move = relocation(w, poses, self._config.recovery)
         if move is None:
             self._counters["recovery_refused"] += 1
             return
@@ -341,5 +380,15 @@ class Estimator:
             w.add_interval(int(t[i]), imu[i, 0:3], imu[i, 3:6], imu[i, 6:12])
         self._resets += 1
         self._rejects = 0
-        self._accepted_ns = stamp_ns
+        self._accepted_ns = self._turned_ns = stamp_ns
+        self._begun_ns = w.now_ns
+        self._lost.clear()
         self._counters["resets"] += 1
+
+    def _begin_again(self, poses: list[PoseMeasurement]) -> None:
+        """Forget state and priors, start from these poses: what has failed twice is not kept."""
+        self._started, self._waiting = False, ("begins_again",)
+        self._counters["restarts"] += 1
+        self._rejects = 0
+        self._poses = deque(poses, maxlen=self._poses.maxlen)
+        self._try_start()

@@ -11,13 +11,14 @@ from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, Observations, PoseMeasurement, PosePrior
 from vio.arms import Output, VoArm
 from vio.estimator import Estimator
+from vio.health import State
 from vio.records import ImuSample, NavState
 
 
 class VioArm:
     """`vio`: the filter; an output at every IMU sample once started, valid at its stamp.
 
-    states: IMU samples spent in each state of health.
+    states: IMU samples spent in each state of health; doubts: in LOST and RELOCATING, by reason.
     """
 
     name = "vio"
@@ -31,6 +32,7 @@ class VioArm:
         """
         self.estimator = estimator
         self.states: Counter[str] = Counter()
+        self.doubts: Counter[str] = Counter()
         self._corners = corners
         self._second_look = None
         if vo is not None and vo.config.ambiguity == "consistent":  # the paper's way stays its own
@@ -40,7 +42,10 @@ class VioArm:
     def imu(self, sample: ImuSample) -> Output | None:
         """The state at this sample."""
         nav = self.estimator.imu(sample)
-        self.states[self.estimator.health().state.value] += 1
+        health = self.estimator.health()
+        self.states[health.state.value] += 1
+        if health.state in (State.LOST, State.RELOCATING):
+            self.doubts.update(health.reasons)
         return None if nav is None else _output(nav, sample.arrival_ns)
 
     def ground(self, on_ground: bool) -> None:

@@ -23,7 +23,7 @@ class Signs:
 
     age_s: of the last accepted pose; rejects in a row since; nis: median per dof of the last
     second; sigma_m, sigma_deg: of position and attitude now; imu_late_s: how far the newest pose
-    is ahead of the IMU.
+    is ahead of the IMU; calibration_far: a calibration state is beyond what its prior can mean.
     """
 
     age_s: float
@@ -33,6 +33,7 @@ class Signs:
     sigma_deg: float
     imu_degraded: bool
     imu_late_s: float = 0.0
+    calibration_far: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,12 +51,21 @@ _NIS = 4.0  # per dof: the filter is surprised
 
 
 def judge(
-    signs: Signs | None, resets: int, waiting: tuple[str, ...], config: HealthConfig
+    signs: Signs | None,
+    resets: int,
+    waiting: tuple[str, ...],
+    config: HealthConfig,
+    distrust: tuple[str, ...] = (),
 ) -> Health:
-    """Health from its signs; None: not started, `waiting` says for what."""
+    """Health from its signs; None: not started, `waiting` says for what.
+
+    distrust: why the filter is not to be believed whatever it says of itself (a wrong set-up).
+    What makes it LOST counts before all else: a filter that relocates is lost meanwhile, too.
+    """
     if signs is None:
-        return Health(State.INIT, waiting, None, resets)
-    reasons = []
+        state = State.LOST if distrust else State.INIT
+        return Health(state, (*distrust, *waiting), None, resets)
+    reasons = list(distrust)
     if signs.sigma_m > config.lost_sigma_m:
         reasons.append("position_sigma")
     if signs.sigma_deg > config.lost_sigma_deg:
@@ -64,6 +74,8 @@ def judge(
         reasons.append("no_pose_for_long")
     if signs.imu_late_s > config.imu_late_s:
         reasons.append("imu_stalled")
+    if signs.calibration_far:
+        reasons.append("calibration_far")
     lost = bool(reasons)
     stale = signs.age_s > config.coasting_after_s
     if stale:
@@ -75,10 +87,10 @@ def judge(
         reasons.append("innovation")
     if signs.imu_degraded:
         reasons.append("imu_gap")
-    if disputed and stale:
-        state = State.RELOCATING
-    elif lost:
+    if lost:
         state = State.LOST
+    elif disputed and stale:
+        state = State.RELOCATING
     else:
         state = State.COASTING if stale else State.TRACKING
     return Health(state, tuple(reasons), signs, resets)

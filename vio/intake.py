@@ -6,15 +6,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from tagvo.geometry import Array
+from tagvo.geometry import Array, IntArray
+from vio.imu_gate import Gated, SampleGate
+from vio.imu_noise import NoiseMeter
 from vio.records import ImuSample
 
 GAP_NS = 20_000_000  # a longer step is cut into sub-steps of the mean
 DEGRADED_NS = 200_000_000
 LOST_NS = 1_000_000_000
-_SATURATED = 100.0  # process noise of an axis at its limit is multiplied by this
+_SATURATED = 100.0  # process noise of an axis at its limit, or held, is multiplied by this
 _SUB_STEP_NS = 10_000_000
-_SCATTER_S = 0.5  # over which the accelerometer's scatter is judged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,71 +30,84 @@ class Interval:
 
 
 class ImuIntake:
-    """Checks samples one by one; `lost` says that the last gap was too long to bridge."""
+    """Checks samples one by one; `lost` says that the last gap was too long to bridge.
+
+    meter: the IMU's noise as its samples show it.
+    """
 
     def __init__(
-        self, period_s: float, gyro_max: float, accel_max: float, vibration: float = 0.0
+        self, period_s: float, gyro_max: float, accel_max: float, meter: NoiseMeter
     ) -> None:
-        """period_s: usual step; gyro_max [rad/s], accel_max [m/s^2]: limits of the axes.
-
-        vibration: share of the accelerometer's scatter that stays in what it integrates to, over
-        the accelerometer's density [1/(m/s^2/sqrt(Hz))].
-        """
-        self._vibration = vibration
-        self._scatter, self._last_step = np.zeros(3), np.zeros(3)
+        """period_s: usual step; gyro_max [rad/s], accel_max [m/s^2]: limits of the axes."""
         self._limit = 0.995 * np.repeat([gyro_max, accel_max], 3)
         self._period_ns = 1e9 * period_s
-        self._before: ImuSample | None = None
-        self._was_saturated = np.zeros(6, dtype=bool)
+        self.meter = meter
         self.degraded_at_ns: int | None = None
         self.counters: Counter[str] = Counter()
+        self._gate = SampleGate(gyro_max, accel_max, self.counters)
+        self._newest_ns: int | None = None  # stamp of the newest sample taken, held or not
+        self._odd_ns: int | None = None  # stamp of one that came far from it
+        self._before: ImuSample | None = None
+        self._was_wide = np.zeros(6, dtype=bool)
 
     def take(self, sample: ImuSample) -> tuple[list[Interval], bool]:
-        """Intervals up to this sample, and whether the time before it is lost."""
+        """Intervals that this sample completes, and whether the time before it is lost."""
         self.counters["imu"] += 1
         six = np.concatenate([sample.gyro_I, sample.accel_I])
         if not np.isfinite(six).all():
             self.counters["imu_not_finite"] += 1
             return [], False
-        before = self._before
-        if before is not None and sample.t_ns <= before.t_ns:
-            return self._backward(sample, before)
+        newest, lost = self._newest_ns, False
+        if newest is not None and sample.t_ns <= newest:
+            self.counters["imu_backward"] += 1
+            if newest - sample.t_ns <= LOST_NS:
+                return [], False
+        if newest is not None and abs(sample.t_ns - newest) > LOST_NS:
+            odd, self._odd_ns = self._odd_ns, sample.t_ns
+            if odd is None or abs(sample.t_ns - odd) > LOST_NS:
+                self.counters["imu_stamp_jump"] += 1  # one alone may be a corrupt stamp
+                return [], False
+            self.counters["imu_lost"] += 1  # a pause, or the clock has started anew
+            lost = True
+            self._forget()
+        self._odd_ns = None
+        self._newest_ns = sample.t_ns
+        out: list[Interval] = []
+        for one in self._gate.take(sample, six):
+            held_ns = one.sample.t_ns - one.since_ns
+            if held_ns.max() > LOST_NS:  # an axis has had no good value for so long
+                self.counters["imu_lost"] += 1
+                self._forget()
+                return [], True
+            out += self._advance(one, held_ns)
+        return out, lost
+
+    def _forget(self) -> None:
+        self._gate.clear()
+        self.meter.reset()
+        self._before, self._was_wide = None, np.zeros(6, dtype=bool)
+
+    def _advance(self, one: Gated, held_ns: IntArray) -> list[Interval]:
+        """Intervals from the sample before to this one, the noise of doubtful axes widened."""
+        before, sample = self._before, one.sample
+        six = np.concatenate([sample.gyro_I, sample.accel_I])
         self._before = sample
         saturated = np.abs(six) >= self._limit
         if saturated.any():
             self.counters["imu_saturated"] += 1
-        wide = saturated | self._was_saturated
-        self._was_saturated = saturated
+        wide = saturated | one.held
+        now, self._was_wide = wide | self._was_wide, wide
         if before is None:
-            return [], False
-        if sample.t_ns - before.t_ns > LOST_NS:
-            self.counters["imu_lost"] += 1
-            return [], True
-        scale = np.where(wide, _SATURATED, 1.0)
-        scale[3:] *= self._shaken(before, sample)
-        return self._cut(before, sample, scale), False
-
-    def _shaken(self, before: ImuSample, sample: ImuSample) -> Array:
-        """What vibration multiplies the accelerometer's noise by; (3,).
-
-        Second differences of white noise have six times its variance and no motion in them. A part
-        of what scatters so fast stays in the integral: rectified, folded down by the sampling.
-        """
-        step = sample.accel_I - before.accel_I
-        second, self._last_step = step - self._last_step, step
-        dt = (sample.t_ns - before.t_ns) * 1e-9
-        self._scatter += min(dt / _SCATTER_S, 1.0) * (second**2 / 6.0 - self._scatter)
-        return np.asarray(
-            1.0 + self._vibration**2 * self._scatter * min(dt, self._period_ns * 1e-9)
-        )
-
-    def _backward(self, sample: ImuSample, before: ImuSample) -> tuple[list[Interval], bool]:
-        """A stamp that does not advance is dropped; after a long step back the clock restarted."""
-        self.counters["imu_backward"] += 1
-        if before.t_ns - sample.t_ns <= LOST_NS:
-            return [], False
-        self._before = sample
-        return [], True
+            return []
+        if held_ns.max() > DEGRADED_NS:
+            self.degraded_at_ns = sample.t_ns
+        span = sample.t_ns - before.t_ns
+        if wide.any() or span > 2.5 * self._period_ns:
+            self.meter.reset()
+        missing = (held_ns / self._period_ns) ** 2  # of a gap as long as the axis is held
+        scale = np.where(now, np.maximum(_SATURATED, missing), 1.0)
+        scale *= self.meter.scale(six, span * 1e-9)
+        return self._cut(before, sample, scale)
 
     def _cut(self, before: ImuSample, sample: ImuSample, scale: Array) -> list[Interval]:
         span = sample.t_ns - before.t_ns

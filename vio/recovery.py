@@ -9,8 +9,39 @@ from tagvo.geometry import Array
 from tagvo.records import PoseMeasurement
 from vio import layout as at
 from vio.gate import Rejected, agreement, relocate
+from vio.health import Health, State
 from vio.settings import RecoveryConfig
 from vio.window import Window
+
+_POSES_STOP_NS = 1_000_000_000  # poses further apart do not keep arriving
+
+
+class LostWatch:
+    """Since when the filter is LOST though poses arrive: then it must begin anew by itself."""
+
+    def __init__(self, config: RecoveryConfig) -> None:
+        self._after_s, self._patience = config.restart_after_s, 1.0
+        self._since_ns: int | None = None
+        self._pose_ns = 0
+
+    def clear(self) -> None:
+        """It has begun anew, or jumped."""
+        self._since_ns = None
+
+    def asks(self, health: Health, now_ns: int, pose_ns: int) -> bool:
+        """Whether to begin anew; asked at each pose, with its stamp."""
+        gap, self._pose_ns = pose_ns - self._pose_ns > _POSES_STOP_NS, pose_ns
+        if health.state is State.TRACKING:
+            self._patience = 1.0
+        if gap or health.state is not State.LOST:
+            self._since_ns = None
+            return False
+        if self._since_ns is None:
+            self._since_ns = now_ns
+        if now_ns - self._since_ns <= self._after_s * self._patience * 1e9:
+            return False
+        self._patience *= 2.0  # what a new start has not mended needs longer
+        return True
 
 
 def relocation(

@@ -49,6 +49,7 @@ class RecoveryConfig(_Model):
 
     turned, turned_after_s: the same for poses whose rotation alone is rejected. Those that tagvo
     calls ambiguous do not count: a planar flip that lasts is no reason to turn over.
+    restart_after_s: of LOST with poses arriving, after which the filter begins anew.
     """
 
     rejects: PositiveInt = 5
@@ -57,6 +58,7 @@ class RecoveryConfig(_Model):
     turned_after_s: PositiveFloat = 1.0
     spread_m: PositiveFloat = 0.15
     spread_deg: PositiveFloat = 6.0
+    restart_after_s: PositiveFloat = 5.0
 
 
 class HealthConfig(_Model):

@@ -6,6 +6,7 @@ history. Times are integer nanoseconds of the IMU's clock, measurement stamps of
 """
 
 from collections import Counter
+from collections.abc import Collection
 
 import numpy as np
 
@@ -146,9 +147,12 @@ class Window:
         self.archived: Counter[int] = Counter()
         self._floor_ns = 0  # effective time of the newest measurement that is archived
 
-    def start(self, t_ns: int, x: Array, P: Array) -> None:
-        """Forget everything and begin with this state."""
+    def start(self, t_ns: int, x: Array, P: Array, again: Collection[int] = ()) -> None:
+        """Forget everything and begin with this state; again: stamps that will be inserted anew."""
+        twice = np.isin(self.m_t[: self.count], list(again))
+        rows = self.m_state[: self.count][twice & (self.m_z[: self.count, 0] <= at.M_CORNERS)]
         self.archive(self.count)
+        self.archived -= Counter(rows.tolist())
         self.last = self.count = 0
         self._floor_ns = t_ns
         self.t[0], self.X[0], self.P[0] = t_ns, x, P

@@ -44,13 +44,13 @@ def test_fifteen_percent_of_outliers():
 
 def test_a_kidnap_is_recovered_in_a_second():
     jump = np.array([1.5, 0.0, 0.0])
-    flown = fly("T3", 1, NOISY, seconds=16.0)
-    moved = edit_poses(flown, lambda p: replace(p, p_WC=p.p_WC + jump) if p.t_ns > 8e9 else p)
+    flown = fly("T3", 1, NOISY, seconds=20.0)
+    moved = edit_poses(flown, lambda p: replace(p, p_WC=p.p_WC + jump) if p.t_ns > 12e9 else p)
     track = replay(moved)
-    p = track.p + np.where(track.t_s > 8.0, -1.0, 0.0)[:, None] * jump
-    assert np.linalg.norm(p[track.t_s > 9.0], axis=1).max() < 0.3
-    assert "RELOCATING" in states_between(track, 8.2, 9.0)
-    assert states_between(track, 10.0, 15.9) == {"TRACKING"}
+    p = track.p + np.where(track.t_s > 12.0, -1.0, 0.0)[:, None] * jump
+    assert np.linalg.norm(p[track.t_s > 13.0], axis=1).max() < 0.3
+    assert "RELOCATING" in states_between(track, 12.2, 13.0)
+    assert states_between(track, 14.0, 19.9) == {"TRACKING"}
     assert track.estimator.counters["resets"] == 1
     assert track.estimator.health().resets == 1
 
@@ -112,16 +112,17 @@ def test_samples_that_are_no_numbers_are_dropped():
 
 def test_a_saturated_axis_is_believed_less():
     def limit(s):
-        if 8.0 < s.t_ns * 1e-9 < 8.2:
+        if 12.0 < s.t_ns * 1e-9 < 12.2:
             return [replace(s, accel_I=np.array([156.9, *s.accel_I[1:]]))]
         return [s]
 
-    track = replay(edit_imu(fly("T3", 7, NOISY, seconds=14.0), limit))
+    track = replay(edit_imu(fly("T3", 7, NOISY, seconds=18.0), limit))
     assert track.estimator.counters["imu_saturated"] == 39
-    assert rms(track.p[track.t_s > 9.5]) < 0.06
-    assert states_between(track, 3.0, 8.0) == {"TRACKING"}
-    assert states_between(track, 9.5, 13.9) == {"TRACKING"}
-    assert states_between(track, 8.0, 9.5) == {"TRACKING", "RELOCATING"}
+    assert track.estimator.counters["imu_late_suspects"] == 4  # then it is motion
+    assert rms(track.p[track.t_s > 13.5]) < 0.06
+    assert states_between(track, 3.0, 12.0) == {"TRACKING"}
+    assert states_between(track, 13.5, 17.9) == {"TRACKING"}
+    assert states_between(track, 12.0, 13.5) <= {"TRACKING", "RELOCATING", "LOST"}
 
 
 def test_ten_milliseconds_of_jitter_in_the_stamps():
@@ -251,7 +252,7 @@ def test_an_attitude_that_all_poses_deny_is_given_up():
     """A start from turned poses: positions pass the gate, rotations do not, and they are right."""
     track = replay(turned(fly("T3", 16, NOISY, seconds=14.0), 0.0, 1.2))
     assert track.estimator.counters["fused_position"] >= 5
-    assert track.estimator.counters["resets"] >= 1
+    assert track.estimator.counters["restarts"] >= 1  # so soon after the start all begins anew
     assert np.degrees(np.linalg.norm(track.rotation[track.t_s > 7.0], axis=1)).max() < 8.0
     assert states_between(track, 7.0, 13.9) == {"TRACKING"}
 

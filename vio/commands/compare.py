@@ -27,6 +27,7 @@ def command(
     every: opt.Every = 1,
     blackout: opt.Blackout = None,
     latency: opt.Latency = 0.0,
+    force: opt.Force = False,
     skip: float = typer.Option(
         0.0, "--skip", metavar="S", min=0.0, max=1e9, help="Judge from S seconds on."
     ),
@@ -44,9 +45,16 @@ def command(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip
-    from vio.commands.replay_log import all_vo_arms, replay_log
+    from vio.commands.replay_log import all_vo_arms, replay_log, run_summary
+    from vio.evaluate.compare import write_json
 
-    done = replay_log(choice, all_vo_arms, vo_only=vo_only, needs_truth=True, inspect=True)
+    done = replay_log(
+        choice, all_vo_arms, vo_only=vo_only, needs_truth=True, inspect=True, force=force
+    )
+    opt.echo_setup(done.setup, done.refused)
+    if done.refused:
+        write_json(out / "run.json", run_summary(done))
+        raise typer.Exit(1)
     judge(done, out, skip, align, f"tagvio compare {done.log.path.name}", png=png)
     if done.result.interrupted:
         raise typer.Exit(130)

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from vio.config import Config
+    from vio.setup_findings import Finding
     from vio.sources.log import FlightLog
 
 LogFolder = Annotated[
@@ -49,6 +50,9 @@ Blackout = Annotated[
 ]
 Latency = Annotated[
     float, typer.Option("--latency", metavar="S", help="Every frame is known S seconds late.")
+]
+Force = Annotated[
+    bool, typer.Option("--force", help="Run on where the set-up is wrong beyond doubt.")
 ]
 
 
@@ -129,6 +133,15 @@ def _pair(text: str | None) -> tuple[float, float] | None:
             f"{text!r}; PERIOD,LENGTH in seconds is needed, as 3,1", param_hint="--blackout"
         ) from None
     return period, length
+
+
+def echo_setup(findings: "Sequence[Finding]", refused: bool) -> None:
+    """Say on stderr what contradicts the files; what is beyond doubt ended the run."""
+    for finding in findings:
+        word = "error" if finding.certain and refused else "warning"
+        typer.echo(f"{word}: {finding.text}", err=True)
+    if refused:
+        typer.echo("the set-up is wrong: nothing more is run; --force runs on", err=True)
 
 
 @contextmanager

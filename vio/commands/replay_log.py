@@ -5,6 +5,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from tagvo.pipeline import TagVO
 from vio import estimator as flt
 from vio.arms import Estimator, VoArm, VoFirArm
@@ -12,9 +14,10 @@ from vio.commands.options import Choice, open_all, progress, waiting
 from vio.config import Config
 from vio.errors import EvaluationError
 from vio.filter_arm import VioArm, VoKfArm
-from vio.imucheck import check_imu
+from vio.imucheck import check_imu, check_stamps
 from vio.interrupt import gently
-from vio.run import RunResult, run
+from vio.run import RunResult, Sink, run
+from vio.setup_watch import SetupWatch
 from vio.sources.log import FlightLog
 from vio.stopwatch import Stopwatch
 from vio.warmup import warm_all
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from tagvo.pipeline import Trace
     from vio.evaluate.diary import DiaryKeeper
     from vio.evaluate.sightings import SightingBook
+    from vio.setup_findings import Finding
     from vio.sinks.live_view import LiveView
 
 
@@ -37,7 +41,8 @@ _REJECTED = (*flt.REFUSED, "pose_not_finite")
 class Replayed:
     """A log that was run: with what configuration, what came out, how long the stages took.
 
-    vio: the filter's arm, None where it did not run; warnings: what a person should know.
+    vio: the filter's arm, None where it did not run; warnings: what a person should know; setup:
+    what contradicts the files; refused: it ended for one of them that is beyond doubt.
     """
 
     log: FlightLog
@@ -46,6 +51,8 @@ class Replayed:
     timing_ms: dict[str, dict[str, float]]
     vio: VioArm | None
     warnings: list[str]
+    setup: "list[Finding]"
+    refused: bool = False
     book: "SightingBook | None" = None
     diary: "DiaryKeeper | None" = None
 
@@ -57,12 +64,13 @@ def replay_log(
     vo_only: bool,
     needs_truth: bool = False,
     inspect: bool = False,
+    force: bool = False,
     view: "tuple[int | None, Path | None]" = (None, None),
 ) -> Replayed:
     """Run a log through the VO arms made for it and, unless vo_only, through the filter.
 
     inspect: also keep what was seen of the map and what the filter believed, for a report; view:
-    port and MCAP file of a live view.
+    port and MCAP file of a live view; force: run on where the set-up is wrong beyond doubt.
     """
     log, config = open_all(choice)
     if needs_truth and log.truth is None:
@@ -75,6 +83,12 @@ def replay_log(
         warm_all(log.tag_map, log.camera, config.tagvo, vio_too)
     watch = Stopwatch()
     vo = TagVO(log.camera, log.tag_map, config.tagvo, lap=watch.lap)
+    setup = SetupWatch(log.camera, log.tag_map, with_imu=log.imu is not None and not vo_only)
+    stamps = np.array([], dtype=np.int64) if log.imu is None else log.imu.t_ns
+    unit = check_stamps(stamps, log.frames.t_ns, str(log.path))
+    setup.stated = [] if unit is None else [unit]
+    if unit is not None and not force:
+        return Replayed(log, config, RunResult(), {}, None, log.warnings, setup.findings, True)
     vio, warnings = (None, []) if vo_only else _filter(log, config, vo)
     estimators = [*arms(log, config), *([] if vio is None else [vio])]
     tracks = config.tagvo.track.mode == "on"
@@ -82,17 +96,26 @@ def replay_log(
     prior = vio.prior if ask and vio else _no_prior
     book, diary, look = _inspectors(log, config, vio) if inspect else (None, None, _no_look)
     shown = _view(log, config, vio, view)
-    looks = look if shown is None else _both(look, shown.look)
-    sinks = [] if shown is None else [shown]
+    looks = _both(setup.look, look if shown is None else _both(look, shown.look))
+    sinks: list[Sink] = [setup, *([] if shown is None else [shown])]
     try:
         with progress(log.frame_count, "frames") as step, gently() as stop:
-            result = run(log.events(), vo, estimators, watch, step, prior, stop, sinks, look=looks)
+
+            def ends() -> bool:
+                return stop() or (setup.certain and not force)
+
+            result = run(log.events(), vo, estimators, watch, step, prior, ends, sinks, look=looks)
+            result.interrupted = result.interrupted and (stop() or force or not setup.certain)
     finally:
         if shown is not None:
             shown.close()
+    setup.settle()
     warnings += [] if vio is None else _doubts(vio, result, str(log.path))
     said = [*log.warnings, *warnings]
-    return Replayed(log, config, result, watch.summary(), vio, said, book, diary)
+    refused = setup.certain and not force
+    return Replayed(
+        log, config, result, watch.summary(), vio, said, setup.findings, refused, book, diary
+    )
 
 
 def _no_look(trace: "Trace") -> None:
@@ -149,12 +172,22 @@ def _doubts(vio: VioArm, result: RunResult, where: str) -> list[str]:
     if not result.outputs[vio.name]:
         why = ", ".join(vio.estimator.health().reasons)
         return [f"{where}: the filter never started ({why}); vio.tum is empty"]
-    fused, rejected = _verdicts(vio, flt.FUSED), _verdicts(vio, _REJECTED)
+    noise = vio.estimator.noise_words
+    said = [] if noise is None else [f"{where}: {noise}"]
+    fused, rejected = _verdicts(vio, flt.TAKEN), _verdicts(vio, _REJECTED)
+    bad = sum(vio.states[state] for state in ("LOST", "RELOCATING"))
+    if bad > 0.5 * sum(vio.states.values()):
+        why = ", ".join(f"{name} in {n}" for name, n in vio.doubts.most_common(3))
+        said.append(
+            f"{where}: the filter was LOST or RELOCATING in {bad} of {sum(vio.states.values())}"
+            f" samples ({why}): vio is not to be trusted"
+        )
     if 2 * rejected <= fused:
-        return []
+        return said
     return [
+        *said,
         f"{where}: the filter rejected {rejected} poses and took {fused}: vio is not to be trusted;"
-        " are the IMU's units (rad/s, m/s^2), axes, clock and T_cam_imu right?"
+        " are the IMU's units (rad/s, m/s^2), axes, clock and T_cam_imu right?",
     ]
 
 
@@ -199,7 +232,7 @@ def frame_counts(done: Replayed) -> dict[str, int | None]:
         "rejected": None,
     }
     if done.vio is not None:
-        counts["fused"] = _verdicts(done.vio, flt.FUSED)
+        counts["fused"] = _verdicts(done.vio, flt.TAKEN)
         counts["rejected"] = _verdicts(done.vio, _REJECTED)
     return counts
 
@@ -218,5 +251,6 @@ def run_summary(done: Replayed) -> dict[str, Any]:
         "timing_ms": done.timing_ms,
         "counters": dict(sorted((result.counters + Counter(done.log.counters) + filtered).items())),
         "warnings": done.warnings,
+        "setup": [finding.plain() for finding in done.setup],
         "interrupted": result.interrupted,
     }

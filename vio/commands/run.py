@@ -20,6 +20,7 @@ def command(
     every: opt.Every = 1,
     blackout: opt.Blackout = None,
     latency: opt.Latency = 0.0,
+    force: opt.Force = False,
     live: Annotated[
         int | None,
         typer.Option("--live", metavar="PORT", min=0, max=65535, help="Serve a Foxglove view."),
@@ -33,8 +34,10 @@ def command(
     DIR/vo.tum: a line a frame with a pose, at capture time. DIR/vio.tum: a line an IMU sample once
     the filter has started. Poses are those of the IMU in the map, in the form that evo reads.
     DIR/run.json counts frames, faults of the log, what was dropped or rejected and why, the
-    filter's states, and times each stage. --live and --mcap show images with tags, the map, the
-    body with its trail and covariance, and plots in Foxglove (extra `live`).
+    filter's states, and times each stage. A set-up that contradicts itself (axes, signs,
+    T_cam_imu, clocks, tag sizes, gravity) is named, and ends the run where it is beyond doubt.
+    --live and --mcap show images with tags, the map, the body with its trail and covariance, and
+    plots in Foxglove (extra `live`).
     """
     from vio.commands.replay_log import replay_log, run_summary, vo_arms
     from vio.evaluate.compare import write_json
@@ -45,7 +48,8 @@ def command(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip
-    done = replay_log(choice, vo_arms, vo_only=vo_only, view=(live, mcap))
+    done = replay_log(choice, vo_arms, vo_only=vo_only, force=force, view=(live, mcap))
+    done.result.outputs.update({n: [] for n in ("vo", "vo_fir") if n not in done.result.outputs})
     name = "vo" if done.config.tagvo.fir == "none" else "vo_fir"
     write_tum(out / "vo.tum", *tum_rows(trajectory(name, done.result.outputs[name])))
     files = [out / "vo.tum"]
@@ -55,6 +59,9 @@ def command(
     summary = run_summary(done)
     write_json(out / "run.json", summary)
     _report(summary, [*files, out / "run.json"], done.warnings)
+    opt.echo_setup(done.setup, done.refused)
+    if done.refused:
+        raise typer.Exit(1)
     if done.result.interrupted:
         raise typer.Exit(130)
 

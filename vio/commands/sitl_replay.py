@@ -64,7 +64,7 @@ def replay_into_sitl(
     for one in (vio, played.fc):
         write_tum(choice.out / f"{one.name}.tum", *tum_rows(one))
     frames: dict[str, int | None] = {"total": vision.frames, "with_pose": vision.with_pose}
-    frames["fused"] = sum(core.counters.get(name, 0) for name in flt.FUSED)
+    frames["fused"] = sum(core.counters.get(name, 0) for name in flt.TAKEN)
     frames["rejected"] = sum(core.counters.get(name, 0) for name in flt.REFUSED)
     _report(log, played, vio, choice.out, frames)
     if interrupted:

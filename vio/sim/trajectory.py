@@ -145,4 +145,24 @@ def circle(speed_m_s: float, rng: np.random.Generator) -> tuple[Flight, float]:
     return flight(t, points, phase + spin * t), 10.0
 
 
+def hover(
+    speed_m_s: float, yaw_rad_s: float, rng: np.random.Generator, duration_s: float = 14.0
+) -> tuple[Flight, float]:
+    """Hovering that is none: it drifts at this speed some way and yaws at this rate, steadily.
+
+    To the IMU alone it looks like rest with a gyro bias.
+    """
+    way, phase, lean = rng.uniform(0.0, 2.0 * np.pi, 3)
+    t = np.arange(-5.0, duration_s + 5.0, 1.0 / _KNOTS_HZ)
+    ahead = speed_m_s * t
+    points = np.column_stack(
+        [
+            1.5 + np.cos(way) * ahead,
+            2.5 + np.sin(way) * ahead,
+            1.2 + 0.1 * np.sin(lean) * ahead,
+        ]
+    )
+    return flight(t, points, phase + yaw_rad_s * t), duration_s
+
+
 FLIGHTS = {"T1": t1, "T2": t2, "T3": t3}

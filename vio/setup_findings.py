@@ -1,0 +1,41 @@
+"""What a set-up check has found, in one record, and its words."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from tagvo.geometry import Array
+
+Code = Literal[
+    "cam_imu_rotation", "mirrored", "imu_axes", "time_offset", "stamp_unit", "size_kind",
+    "no_specific_force", "gravity",
+]  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One mistake of a set-up: what it is, how large (deg, s or a ratio), whether beyond doubt."""
+
+    code: Code
+    text: str
+    value: float
+    certain: bool
+
+    def plain(self) -> dict[str, Any]:
+        """As run.json and the status file hold it."""
+        return asdict(self)
+
+
+def axes_words(S: Array) -> str:
+    """What a signed permutation (3, 3) does to the IMU's axes, as a person would say it."""
+    if np.array_equal(S, np.diag([1.0, -1.0, -1.0])):
+        return "y and z have the other sign (FRD where FLU is needed)"
+    names = "xyz"
+    parts = []
+    for i in range(3):
+        j = int(np.argmax(np.abs(S[i])))
+        if j != i or S[i, j] < 0.0:
+            sign = "-" if S[i, j] < 0.0 else ""
+            parts.append(f"{names[i]} is {sign}{names[j]} of what comes")
+    return ", ".join(parts)
