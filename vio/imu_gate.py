@@ -108,7 +108,8 @@ class SampleGate:
         self, sample: ImuSample, six: Array, bad: BoolArray, *, spike: bool
     ) -> Gated | None:
         """A sample with its bad axes held; None while such an axis has no good value yet."""
-        self._counters["imu_spikes"] += spike
+        if spike:
+            self._counters["imu_spikes"] += 1
         self._good = np.where(bad, self._good, six)
         self._good_ns = np.where(bad, self._good_ns, sample.t_ns)
         if np.isnan(self._good).any():

@@ -23,7 +23,7 @@ _CERTAIN_RAD = np.radians(30.0)  # a rotation that no calibration error explains
 _NAMED_RAD = np.radians(6.0)  # four sigmas of the filter's prior of 1.5 deg
 _OFFSET_S = 0.05  # above the lag of any IMU filter met so far (11.5 ms) and the prior's 30 ms
 _TILT_CERTAIN_RAD, _TILT_NAMED_RAD = np.radians(20.0), np.radians(5.0)
-_AGREE_RAD, _AGREE_S = np.radians(15.0), 0.02  # of two windows
+_AGREE_RAD, _AGREE_S = np.radians(15.0), 0.03  # of two windows
 _REACH_S, _STEP_S = 1.0, 0.01  # offsets that are tried
 _BIAS_RAD_S = 0.05  # prior of the gyro's bias
 _FREE_FALL = 1.0  # [m/s^2] a median force below it is no specific force
@@ -196,9 +196,17 @@ def _view(turns: Turns, rig: StatedRig) -> _View:
     turn = geo.log(rig.R_CI.T @ fit.Q[k]) if not mirrored else np.full(3, np.nan)
     sure = not mirrored and float(turn @ fit.information[k] @ turn) > _SIGMAS2 * unit
     return _View(
-        float(offsets[best]), late, mirrored, fit.Q[k], turn, sure,
+        _between(offsets, chi2, best), late, mirrored, fit.Q[k], turn, sure,
         _axes(rig.R_CI, phi_C, phi[k], dt, sigma, float(fit.chi2[k]), unit),
     )  # fmt: skip
+
+
+def _between(x: Array, y: Array, k: int) -> float:
+    """Where the parabola through y at k and its neighbours is least."""
+    if not 0 < k < len(x) - 1:
+        return float(x[k])
+    bend = y[k - 1] - 2.0 * y[k] + y[k + 1]
+    return float(x[k] + 0.5 * (x[1] - x[0]) * (y[k - 1] - y[k + 1]) / max(float(bend), 1e-12))
 
 
 SIGNED_AXES: tuple[Array, ...] = tuple(

@@ -138,10 +138,10 @@ def _pair(text: str | None) -> tuple[float, float] | None:
 def echo_setup(findings: "Sequence[Finding]", refused: bool) -> None:
     """Say on stderr what contradicts the files; what is beyond doubt ended the run."""
     for finding in findings:
-        word = "error" if finding.certain and refused else "warning"
-        typer.echo(f"{word}: {finding.text}", err=True)
-    if refused:
-        typer.echo("the set-up is wrong: nothing more is run; --force runs on", err=True)
+        if finding.certain and refused:
+            typer.echo(f"error: {finding.text} (--force runs on)", err=True)
+        else:
+            typer.echo(f"warning: {finding.text}", err=True)
 
 
 @contextmanager
