@@ -14,7 +14,8 @@ from tagvo.geometry import Array
 from vio.records import NavState
 
 FLIP = np.array([1.0, -1.0, -1.0])  # FLU to FRD and back
-RELEVEL_RAD = float(np.radians(0.5))
+RELEVEL_RAD = float(np.radians(0.5))  # in the air: a reset there costs more than a smaller tilt
+ON_GROUND_RAD = float(np.radians(0.1))  # disarmed: 0.5 deg sent a pose 4 cm off at 5 m in SITL
 _CERTAIN = 4.0  # sigmas
 _STANDS = 0.9  # an axis with more than this share along gravity is vertical
 _FLOAT32 = 3.4e38
@@ -58,15 +59,15 @@ def tilt(levelling: Levelling, down_W: Array) -> float:
 
 
 def relevelled(
-    levelling: Levelling, down_W: Array, sigma_rad: float = 0.0
+    levelling: Levelling, down_W: Array, sigma_rad: float = 0.0, least_rad: float = RELEVEL_RAD
 ) -> tuple[Levelling, bool]:
     """The levelling to go on with, and whether it is another one.
 
-    Only where gravity's direction has moved by more than half a degree, and by more than four times
-    its sigma: while it is still being learnt, each new levelling would only bring the next. The
+    Only where gravity's direction has moved by more than least_rad, and by more than four times its
+    sigma: while it is still being learnt, each new levelling would only bring the next. The
     heading's axis stays, unless it has come to stand.
     """
-    if tilt(levelling, down_W) <= max(RELEVEL_RAD, _CERTAIN * sigma_rad):
+    if tilt(levelling, down_W) <= max(least_rad, _CERTAIN * sigma_rad):
         return levelling, False
     stands = abs(down_W[levelling.axis]) > 0.99 * np.linalg.norm(down_W)
     return levelled(down_W, None if stands else levelling.axis), True
@@ -140,6 +141,18 @@ def _in_ned(cov: Array, R_NW: Array, R_WI: Array, p_IB: Array, v_I: Array, with_
         J[6:, 3:6] = -R_NI @ geo.hat(v_I)
     with np.errstate(invalid="ignore", over="ignore"):  # not finite: `triangle` says so
         return np.asarray(J @ cov[:n, :n] @ J.T)
+
+
+def largest_sigmas(pose: NedPose | None) -> tuple[float, float]:
+    """Standard deviation of the position [m] and attitude [deg] on their worst axis.
+
+    0 where there is no covariance, infinite where that is not finite.
+    """
+    if pose is None or pose.cov is None:
+        return 0.0, 0.0
+    variance = np.nan_to_num(np.diag(pose.cov)[:6], nan=np.inf, posinf=np.inf)
+    position, attitude = variance[:3].max(), variance[3:].max()
+    return float(np.sqrt(max(position, 0.0))), float(np.degrees(np.sqrt(max(attitude, 0.0))))
 
 
 def euler_321(R_NF: Array) -> Array:

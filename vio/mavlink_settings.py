@@ -32,6 +32,14 @@ class ImuLinkConfig(_Model):
     rate_hz: float = Field(default=200.0, ge=20.0, le=1000.0)
 
 
+class BeliefConfig(_Model):
+    """How far the autopilot's own position and yaw may be from the poses sent, and for how long."""
+
+    position_m: float = Field(default=0.5, ge=0.05, le=100.0)
+    yaw_deg: float = Field(default=15.0, ge=1.0, le=180.0)
+    after_s: float = Field(default=2.0, ge=0.2, le=60.0)
+
+
 class SigningConfig(_Model):
     """MAVLink 2 signing: the file with the key (64 hex digits, or a passphrase)."""
 
@@ -55,6 +63,7 @@ class MavlinkConfig(_Model):
     coast_s: float = Field(default=0.5, ge=0.0, le=0.5)
     map_heading_deg: float | Literal["fc"] = 0.0
     origin: OriginConfig | None = OriginConfig()
+    belief: BeliefConfig | None = BeliefConfig()
     timesync_hz: float = Field(default=10.0, ge=1.0, le=50.0)
     state_file: str = "~/.local/state/tagvio/mavlink.json"
     imu: ImuLinkConfig = ImuLinkConfig()

@@ -59,6 +59,7 @@ class ArduPilot(Autopilot):
             self.send(m.MAVLink_timesync_message(0, self.clock(t_ns) + self.system))
         if self.due(30, t_ns):
             self.attitude(t_ns)
+        self.tell_position(t_ns)
         if not any(self.due(number, t_ns) for number in (27, 105, 116)):
             return
         gyro, accel = self.imu()
@@ -72,7 +73,7 @@ class ArduPilot(Autopilot):
             self.send(m.MAVLink_scaled_imu2_message(us // 1000, *milli, 0, 0, 0))
 
     def interval(self, message_id, interval_us):
-        if message_id not in (27, 30, 105, 116):
+        if message_id not in (27, 30, 32, 105, 116):
             return 3
         if int(interval_us / 1000) * 800 < self.LOOP_US:
             return 2

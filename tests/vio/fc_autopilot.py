@@ -19,6 +19,7 @@ class Autopilot:
 
     kind = None
     PARAMS = None  # name: (value, MAV_PARAM_TYPE)
+    COMPASS = False  # its yaw is the compass', never vision's
 
     def __init__(self, vehicle, rng, boot_ns=0, drift=0.0, wander=None, system=SYSTEM):
         self.vehicle, self.rng, self.system = vehicle, rng, system
@@ -85,11 +86,19 @@ class Autopilot:
         """Control on the estimate: what is wrong with it moves the true vehicle."""
         wanted = np.zeros(3)
         if self.armed and self.target is not None:
-            wanted = 2.0 * (self.target - self.ekf.p) - 2.4 * self.ekf.v
+            wanted = 2.0 * (self.target - self.local()) - 2.4 * self.ekf.v
             wanted = np.clip(wanted, -2.0, 2.0)
         body = turn(self.ekf.yaw).T @ wanted
         self.vehicle.step(t_ns, turn(self.vehicle.yaw) @ body, dt)
         self.ekf.predict(self.clock(t_ns), body, dt)
+
+    def local(self):
+        """Its local position (3,), as it tells it and as it is told targets [m, NED]."""
+        return self.ekf.p
+
+    def yaw(self):
+        """The yaw that it believes in now."""
+        return self.ekf.yaw if self.ekf.yaw_aligned and not self.COMPASS else self.compass()
 
     # streams
 
@@ -163,9 +172,14 @@ class Autopilot:
     def attitude(self, t_ns):
         self.send(
             m.MAVLink_attitude_message(
-                self.clock(t_ns) // 10**6, 0.0, 0.0, self.compass(), 0.0, 0.0, 0.0
+                self.clock(t_ns) // 10**6, 0.0, 0.0, self.yaw(), 0.0, 0.0, 0.0
             )
         )
+
+    def tell_position(self, t_ns):
+        if self.due(32, t_ns):
+            ms = self.clock(t_ns) // 10**6
+            self.send(m.MAVLink_local_position_ned_message(ms, *self.local(), *self.ekf.v))
 
     def compass(self):
         """The yaw that it believes in before vision."""

@@ -79,11 +79,17 @@ class Px4(Autopilot):
             self.send(m.MAVLink_highres_imu_message(us, *accel, *gyro, *[0] * 7, 63))
         if self.due(30, t_ns):
             self.attitude(t_ns)
+        self.tell_position(t_ns)
+
+    def local(self):
+        """1.17-alpha: vision's height is an altitude; local z = -(altitude - origin's altitude)."""
+        origin_m = 0.0 if self.origin is None else self.origin[2] * 1e-3
+        return self.ekf.p + np.array([0.0, 0.0, origin_m])
 
     def interval(self, message_id, interval_us):
         if message_id == 27:
             return 4
-        if message_id in (30, 105):
+        if message_id in (30, 32, 105):
             self.streams[message_id] = round(interval_us * 1000)
         return 0  # SCALED_IMU2 too, and nothing comes
 

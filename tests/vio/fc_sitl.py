@@ -95,7 +95,8 @@ class SitlMixin:
             return
         if self.due(32, t_ns):
             ms = t_ns // 10**6
-            self.send(m.MAVLink_local_position_ned_message(ms, *s.p, *s.v))
+            p = s.p - self.ekf.p + self.local()  # as its origin has it
+            self.send(m.MAVLink_local_position_ned_message(ms, *p, *s.v))
         if self.due(30, t_ns):
             rpy = geo.rpy_from_matrix(s.R)
             self.send(m.MAVLink_attitude_message(t_ns // 10**6, *rpy, 0, 0, 0))

@@ -160,7 +160,7 @@ LINK = [
     (AP, {"clock_steps": 1}, "clock_step", "warning"),
     (PX, {"drift": -0.004}, "clock_drift", "info"),
     (PX, {"responders": ("1/191",)}, "two_responders", "error"),
-    (AP, {"responders": ("1/191",)}, "two_responders", "warning"),
+    (AP, {"responders": ("1/191",)}, "two_responders", "info"),
     (AP, {"others": ("1/191",)}, "others", "info"),
     (AP, {"imu_hz": 0.0}, "imu_missing", "error"), (PX, {"imu_hz": 123.0}, "imu_slow", "warning"),
     (AP, {"ekf_flags": None}, "ekf_unknown", "info"),

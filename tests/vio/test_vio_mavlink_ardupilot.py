@@ -315,7 +315,7 @@ def test_coasting_is_sent_with_its_growing_covariance():
     def growing(t):
         coasting = max(0.0, t * 1e-9 - 3.0)
         word = health(State.COASTING if coasting else State.TRACKING)
-        return moments(copter.vehicle, rng, sigma=0.05 + coasting, say=lambda t: word)(t)
+        return moments(copter.vehicle, rng, sigma=0.05 + 0.8 * coasting, say=lambda t: word)(t)
 
     w.see(growing)
     w.run(4.0)
@@ -323,7 +323,7 @@ def test_coasting_is_sent_with_its_growing_covariance():
     late = [c for t, c in sent if t > 3 * S]
     assert len(late) == pytest.approx(15, abs=2)
     assert np.all(np.diff(late) > 0)
-    assert late[-1] == pytest.approx(0.55**2, rel=0.2)
+    assert late[-1] == pytest.approx(0.45**2, rel=0.2)
 
 
 # covariance

@@ -147,7 +147,7 @@ def rate_of(w, since_s):
 def test_px4_is_asked_for_400_hz_so_that_250_come():
     w = world(Px4, with_imu=True)
     w.run(5.0)
-    asked = [f for _, f in w.fc.heard["COMMAND_LONG"] if f.command == 511]
+    asked = [f for _, f in w.fc.heard["COMMAND_LONG"] if f.command == 511 and f.param1 == 105]
     assert (asked[0].param1, asked[0].param2) == (105, 2500)
     assert len(asked) == 1
     assert rate_of(w, 2.0) == pytest.approx(250, rel=0.05)
@@ -156,7 +156,7 @@ def test_px4_is_asked_for_400_hz_so_that_250_come():
 def test_arducopter_is_asked_for_200_hz_and_sends_them():
     w = world(ArduPilot, with_imu=True, tick_ns=5 * MS // 2)
     w.run(4.0)
-    asked = [f for _, f in w.fc.heard["COMMAND_LONG"] if f.command == 511]
+    asked = [f for _, f in w.fc.heard["COMMAND_LONG"] if f.command == 511 and f.param1 == 105]
     assert [(f.param1, f.param2) for f in asked] == [(105, 5000)]
     assert rate_of(w, 2.0) == pytest.approx(200, rel=0.02)
 
@@ -164,7 +164,7 @@ def test_arducopter_is_asked_for_200_hz_and_sends_them():
 def test_a_rate_that_is_denied_is_named_and_asked_again_seldom(caplog):
     w = world(ArduPilot, config={"imu": {"rate_hz": 400.0}})
     w.run(20.0)
-    asked = [t for t, f in w.fc.heard["COMMAND_LONG"] if f.command == 511]
+    asked = [t for t, f in w.fc.heard["COMMAND_LONG"] if f.command == 511 and f.param1 == 105]
     assert 3 <= len(asked) <= 7
     words = [r.message for r in caplog.records if "HIGHRES_IMU" in r.message]
     assert any("denied" in one for one in words)

@@ -126,6 +126,7 @@ class Flight:
     def status(self, rates: Rates, now_s: float) -> dict[str, Any]:
         """All figures, for the status file and the log."""
         ages, heard, offset = self.bridge.asked(_link_figures)
+        belief, alarms = self.bridge.asked(_belief_figures)
         health, signs = self.arm.health, self.arm.health.signs
         figures, result = self.meter.figures(), self.result
         counts = {
@@ -144,6 +145,8 @@ class Flight:
             "reasons": list(health.reasons),
             "vehicle": heard,
             "clock_offset_s": offset,
+            "belief": belief,
+            "alarms": alarms,
             "counts": counts,
             "rates_hz": hz,
             "latency_ms": latency,
@@ -200,6 +203,20 @@ def _link_figures(companion: Any) -> tuple[Ages | None, str | None, float | None
     clock = companion.clock
     offset = None if clock is None else round(clock.offset_ns * 1e-9, 6)
     return companion.ages.ages(), companion.vehicle.name if known else None, offset
+
+
+def _belief_figures(companion: Any) -> tuple[dict[str, Any], dict[str, str]]:
+    """What the autopilot believes against what was sent, and all alarms."""
+    belief = companion.belief
+    figures: dict[str, Any] = {"state": "unknown", "position_m": None, "yaw_deg": None, "count": 0}
+    if belief is not None:
+        figures = {
+            "state": belief.state.value,
+            "position_m": round(belief.position_m, 3),
+            "yaw_deg": round(belief.yaw_deg, 2),
+            "count": belief.count,
+        }
+    return figures, dict(companion.alarms)
 
 
 def _line(

@@ -82,7 +82,7 @@ def _settle() -> None:
 def check(config: Config, path: Path) -> tuple[Parts, Bridge, Callable[[], Grabber]]:
     """All that a flight needs, looked at and opened where it can be; nothing is sent."""
     parts, where = read_parts(config, path), path.parent
-    bridge = Bridge(config.mavlink, *imu_in_body(config))
+    bridge = Bridge(config.mavlink, *imu_in_body(config), config.vio.health)
     open_it = partial(open_camera, config.daemon.camera, parts.camera.resolution, where)
     open_it().close()
     check_recording(config, where)
@@ -175,8 +175,8 @@ def _met(bridge: Bridge, patience_s: float, stop: Callable[[], bool], systemd: S
             bridge.wait_for_vehicle(min(_LOOK_S, max(left, 0.01)))
             return True
         except LinkError:
-            if left <= 0.0 or bridge.companion.vehicle.fault is not None:
-                raise
+            if left <= 0.0:
+                raise bridge.no_vehicle(patience_s) from None
         systemd.tell("WATCHDOG=1")
     return False
 
@@ -208,7 +208,7 @@ def replay(
     link = config.mavlink.model_copy(
         update={"imu": config.mavlink.imu.model_copy(update={"message": "none"})}
     )
-    bridge = Bridge(link, *imu_in_body(config))
+    bridge = Bridge(link, *imu_in_body(config), config.vio.health)
     warm_all(log.tag_map, log.camera, config.tagvo, config.vio)
     _settle()
     with _link(bridge):

@@ -5,6 +5,8 @@ from vio.doctor.records import Facts, Finding, Severity
 from vio.mavlink.fields import ARDUPILOT
 
 _ORDER = list(Severity)
+# what follows where an autopilot drops all of ours: the one word on signing says it better
+_DEAF = {"parameters", "timesync_no_answer", "imu_missing"}
 
 
 def check(facts: Facts) -> list[Finding]:
@@ -17,6 +19,8 @@ def check(facts: Facts) -> list[Finding]:
     elif facts.alive:
         found.append(Finding(Severity.ERROR, "parameters", "no parameter could be read", "nothing"
                              " that is set could be checked", "try again, or by USB"))  # fmt: skip
+    if any(finding.code == "signing" for finding in found):
+        found = [finding for finding in found if finding.code not in _DEAF]
     return sorted(found, key=lambda f: _ORDER.index(f.severity))
 
 

@@ -8,6 +8,7 @@ from vio.mavlink.latency import AgeMeter, Ages, delay_advice
 
 NAMES = {True: "VISO_DELAY_MS", False: "EKF2_EV_DELAY"}
 _OFF_MS = 15.0  # 80 ms off cost a factor of two to three in flight; below this nothing is seen
+_STARVED_MS = 50.0  # round trips: an autopilot answers within 6, a radio within 50
 _EXPIRED_MS = 200.0  # PX4's buffer, and what a pose may be old when it leaves
 
 
@@ -39,9 +40,14 @@ def words(d: Delay) -> str:
     """One line for a person."""
     link = "unknown" if d.one_way_ms is None else f"{d.one_way_ms:.1f} ms"
     if d.ages is None or d.advised is None:
+        then = (
+            "is that plus the least age of poses when they leave (the daemon logs it)"
+            if d.name == NAMES[True]
+            else "is 0 once TIMESYNC is answered: the daemon does, and PX4 then knows capture times"
+        )
         return (
             f"latency: no poses are heard on this link, so only the link is measured: {link}"
-            f" one way; {d.name} is that plus the age of poses when they leave (the daemon logs it)"
+            f" one way; {d.name} {then}"
         )
     a = d.ages
     return (
@@ -67,7 +73,18 @@ def check(f: Facts) -> list[Finding]:
                 Change(d.name, value, d.advised),
             )
         )
-    if d.ages is not None and d.ages.p95 > _EXPIRED_MS:
+    waits = _own_waits_ms(f)
+    if waits > _STARVED_MS:
+        out.append(
+            Finding(
+                Severity.WARNING,
+                "doctor_starved",
+                f"5 % of this program's round trips take {waits:.0f} ms longer than the least",
+                "it is starved here, or the link is: ages of poses are measured that much too old",
+                "give the computer some rest, and look again",
+            )
+        )
+    if d.ages is not None and d.ages.p95 - waits > _EXPIRED_MS:
         out.append(
             Finding(
                 Severity.ERROR,
@@ -78,3 +95,11 @@ def check(f: Facts) -> list[Finding]:
             )
         )
     return out
+
+
+def _own_waits_ms(f: Facts) -> float:
+    """By how much the slow round trips [ms] exceed the least: what is waited for on our side."""
+    if not f.rtts_ms:
+        return 0.0
+    ordered = sorted(f.rtts_ms)
+    return ordered[min(len(ordered) - 1, int(0.95 * len(ordered)))] - ordered[0]

@@ -3,9 +3,15 @@
 from collections import Counter, deque
 from typing import Any
 
+import numpy as np
+
+from tagvo import geometry as geo
+from vio.clock import to_ours
 from vio.doctor.check import names
 from vio.doctor.params import ParamReader
 from vio.doctor.records import Facts, VisionSeen
+from vio.frames import euler_321
+from vio.mavlink.belief import BeliefCheck, SentPose
 from vio.mavlink.companion import Companion
 from vio.mavlink.fields import (
     ARDUPILOT,
@@ -86,6 +92,9 @@ class Examiner:
         self._heard: set[str] = set()
         self._origin = False
         self._texts: list[str] = []
+        self._signed = False
+        belief = config.belief
+        self._belief = None if belief is None else BeliefCheck(belief, settled=True)
 
     def heard(self, message: Any, now_ns: int) -> None:
         """Take any message of the link."""
@@ -95,6 +104,7 @@ class Examiner:
             return
         self._version_1 = message.get_msgbuf()[0] == _VERSION_1
         self._heard.add(name)
+        self._signed |= self._companion.signs(message)
         if name == "PARAM_VALUE":
             self.reader.heard(message, now_ns)
         elif name == "TIMESYNC":
@@ -103,20 +113,39 @@ class Examiner:
                 self._rtts.append((now_ns - message.ts1) * 1e-6)
         elif name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
             self._flags = message.flags
+        elif name in ("LOCAL_POSITION_NED", "ATTITUDE") and self._belief is not None:
+            self._believes(self._belief, message, now_ns)
         elif name == "GPS_GLOBAL_ORIGIN":
             self._origin |= bool(message.latitude or message.longitude)
         elif name == "STATUSTEXT":
             self._texts.append(message.text.rstrip("\0"))
 
+    def _believes(self, belief: BeliefCheck, message: Any, now_ns: int) -> None:
+        """What the autopilot takes for its position and yaw."""
+        track, t_ns = self._companion.clock, now_ns
+        if track is not None:
+            t_ns = to_ours(track, message.time_boot_ms * 1_000_000)
+        if message.get_type() == "ATTITUDE":
+            belief.yaw(t_ns, message.yaw)
+        else:
+            belief.position(t_ns, np.array([message.x, message.y, message.z]))
+
     def _of_another(self, message: Any, name: str, now_ns: int) -> None:
+        ours = (self._system, self._config.component_id)  # the daemon that flies, beside us
         who = f"{message.get_srcSystem()}/{message.get_srcComponent()}"
         if name == "HEARTBEAT" and message.type == ONBOARD_CONTROLLER:
             if message.get_srcComponent() != AUTOPILOT_COMPONENT:
                 self._others.add(who)
         elif name == "TIMESYNC" and message.tc1 != 0:
+            if (message.get_srcSystem(), message.get_srcComponent()) == ours:
+                return
             self._responders.add(who)
         elif name in _POSES and message.get_srcComponent() != AUTOPILOT_COMPONENT:
             self._poses.heard(message, now_ns)
+            if self._belief is not None:
+                pose = _pose_of(message)
+                if abs(now_ns - pose.t_ns) < _SECOND:  # else its stamps are of another clock
+                    self._belief.sent(pose, message.reset_counter)
 
     def due(self, now_ns: int) -> list[Outgoing]:
         """What to ask now."""
@@ -164,7 +193,18 @@ class Examiner:
             range_finder="DISTANCE_SENSOR" in self._heard,
             vision=self._poses.seen(),
             texts=tuple(self._texts),
+            signed=self._signed,
+            belief=None if self._belief is None else self._belief.words(),
         )
+
+
+def _pose_of(message: Any) -> SentPose:
+    """The pose of a VISION_POSITION_ESTIMATE or ODOMETRY."""
+    p_NB = np.array([message.x, message.y, message.z])
+    if message.get_type() != _ODOMETRY:
+        return SentPose(message.usec * 1000, p_NB, message.yaw)
+    yaw = float(euler_321(geo.matrix_from_quat(np.array(message.q)))[2])
+    return SentPose(message.time_usec * 1000, p_NB, yaw)
 
 
 def _certain(variance: tuple[float, float, float]) -> bool:

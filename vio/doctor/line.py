@@ -32,7 +32,7 @@ class Line:
     def __init__(self, config: MavlinkConfig) -> None:
         """config: as it will fly."""
         self._config = config
-        self._bridge = Bridge(_harmless(config), np.eye(3), np.zeros(3))
+        self._bridge = Bridge(_harmless(config), np.eye(3), np.zeros(3), mute=True)
         self._inbox: queue.SimpleQueue[tuple[Any, int]] = queue.SimpleQueue()
         self._bridge.listen(lambda message, t: self._inbox.put((message, t)))
 

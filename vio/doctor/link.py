@@ -9,6 +9,7 @@ E, W, I = Severity.ERROR, Severity.WARNING, Severity.INFO  # noqa: E741
 CONVERGES = 500  # answers after which PX4 believes its TIMESYNC, ten a second
 _PX4_RTT_MS = 10.0  # PX4 throws longer round trips away
 _DRIFT = 1e-3
+_TWO_ANSWER = "PX4 does not look who answers: two clocks get mixed, and vision stops after 50 s"
 
 
 def silence(f: Facts) -> list[Finding]:
@@ -42,6 +43,21 @@ def version(f: Facts) -> list[Finding]:
             " reset counter of our poses are MAVLink 2: as 1 they read 0, and every jump is"
             " taken for motion",
             do,
+        )
+    ]
+
+
+def signing(f: Facts) -> list[Finding]:
+    """What is heard is signed, and nothing is answered."""
+    if not f.signed or f.rtts_ms or f.params:
+        return []
+    return [
+        Finding(
+            E,
+            "signing",
+            "the autopilot signs its messages and answers none of ours",
+            "with MAVLink 2 signing on it drops all that is not signed with its key",
+            "set mavlink.signing.key_file to its key, or switch its signing off",
         )
     ]
 
@@ -167,10 +183,10 @@ def company(f: Facts) -> list[Finding]:
     if f.responders:
         out.append(
             Finding(
-                E if f.autopilot == PX4 else W,
+                E if f.autopilot == PX4 else I,
                 "two_responders",
                 f"{', '.join(f.responders)} answers TIMESYNC, too",
-                "PX4 does not look who answers: two clocks get mixed, and vision stops after 50 s",
+                _TWO_ANSWER if f.autopilot == PX4 else "two senders of poses may be at work",
                 "let one alone answer (mavros: timesync plugin off)",
             )
         )
@@ -189,6 +205,7 @@ def company(f: Facts) -> list[Finding]:
 RULES: tuple[Callable[[Facts], list[Finding]], ...] = (
     silence,
     version,
+    signing,
     incomplete,
     asking,
     round_trips,

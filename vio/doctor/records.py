@@ -59,7 +59,9 @@ class Facts:
 
     params: by name; complete: a name that is not in it does not exist; version_1: its last message
     was MAVLink 1; timesync_asked: how often it asked; responders: others that answer it; others:
-    further companion computers; imu_hz: None: not asked for; ekf_flags, origin: None: never heard.
+    further companion computers; signed: what it sends is, and we have no key; belief: what differs
+    between it and the poses heard; imu_hz: None: not asked for; ekf_flags,
+    origin: None: never heard.
     """
 
     autopilot: int
@@ -83,6 +85,8 @@ class Facts:
     range_finder: bool = False
     vision: VisionSeen | None = None
     texts: tuple[str, ...] = ()
+    signed: bool = False
+    belief: str | None = None
 
     @property
     def message(self) -> str:

@@ -56,6 +56,23 @@ def imu(f: Facts) -> list[Finding]:
     return out
 
 
+def belief(f: Facts) -> list[Finding]:
+    """The autopilot's own position and yaw against the poses on the link."""
+    if f.belief is None:
+        return []
+    yaw = "EK3_SRC1_YAW 6" if f.autopilot == ARDUPILOT else "EKF2_EV_CTRL with yaw (8)"
+    return [
+        Finding(
+            E,
+            "belief",
+            f"the {f.belief}",
+            "it does not fly by what it is sent: it would go elsewhere, or away",
+            f"yaw: {yaw}, compass off, or mavlink.map_heading_deg; position: another origin was set"
+            " (a ground station?), or another source is fused; GPS by intent: mavlink.belief null",
+        )
+    ]
+
+
 def filter_flags(f: Facts) -> list[Finding]:
     """What the autopilot's own filter says of itself."""
     if f.ekf_flags is None:

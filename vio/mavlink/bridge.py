@@ -8,7 +8,6 @@ import select
 import socket
 import threading
 import time
-from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -17,15 +16,18 @@ from typing import Any, TypeVar
 from tagvo.geometry import Array
 from vio.errors import LinkError
 from vio.health import Health
+from vio.mavlink.binding import Binding, Claim
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec, read_key
 from vio.mavlink.fields import INFO, WARNING, Outgoing
 from vio.mavlink.saved import Saved, first_counter, load_saved, save
+from vio.mavlink.traffic import Traffic
 from vio.mavlink.transport import Peer, Transport, open_transport
 from vio.mavlink.url import check_baud, parse_url
-from vio.mavlink.vehicle import NAMES
+from vio.mavlink.vehicle import NAMES, is_vehicle
 from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment
+from vio.settings import HealthConfig
 
 LOG = logging.getLogger("vio.mavlink")
 T = TypeVar("T")
@@ -46,8 +48,15 @@ def now_ns() -> int:
 class Bridge:
     """Connects a Companion to a link; `start` opens it, `offer` sends the filter's states."""
 
-    def __init__(self, config: MavlinkConfig, R_BI: Array, p_BI: Array) -> None:
-        """Checks all that can be checked without a link; raises LinkError."""
+    def __init__(
+        self,
+        config: MavlinkConfig,
+        R_BI: Array,
+        p_BI: Array,
+        limits: HealthConfig | None = None,
+        mute: bool = False,
+    ) -> None:
+        """Checks all that can be checked without a link; raises LinkError. As of a Companion."""
         self.config = config
         self._address = parse_url(config.url)
         check_baud(self._address, config)
@@ -55,9 +64,10 @@ class Bridge:
         self._file = Path(config.state_file).expanduser()
         self._saved = load_saved(self._file)
         first = first_counter(self._saved, now_ns())
-        self.companion = Companion(config, R_BI, p_BI, first, MESSAGE_IDS)
+        self.companion = Companion(config, R_BI, p_BI, first, MESSAGE_IDS, limits, mute)
         self._codec = Codec(config.system_id or 1, config.component_id)
-        self.counters: Counter[str] = Counter()
+        self.binding, self._traffic = Binding(), Traffic()
+        self.counters = self.binding.counters
         self._listeners: list[Listener] = []
         self._watchers: list[Watcher] = []
         self._brain, self._writer = threading.Lock(), threading.Lock()
@@ -95,6 +105,11 @@ class Bridge:
         with self._brain:
             self.companion.say(text, WARNING if bad else INFO)
 
+    def alarm(self, name: str, text: str | None) -> None:
+        """Set an alarm of this name, or clear it (None); from any thread. See Companion.alarm."""
+        with self._brain:
+            self.companion.alarm(name, text)
+
     def start(self) -> None:
         """Open the link and begin; LinkError for what only the user can mend."""
         self._keep_on_disk()
@@ -105,18 +120,20 @@ class Bridge:
         self._thread.start()
 
     def wait_for_vehicle(self, timeout_s: float) -> str:
-        """The autopilot's name once it is heard; LinkError if it is not, or of unknown type."""
+        """The autopilot's name once it is heard; LinkError if none is that is known."""
         vehicle = self.companion.vehicle
         with self._ready:
-            self._ready.wait_for(
-                lambda: vehicle.system is not None or vehicle.fault is not None, timeout_s
-            )
+            self._ready.wait_for(lambda: vehicle.system is not None, timeout_s)
         if vehicle.system is None:
-            raise vehicle.fault or LinkError(
-                f"mavlink.url {self.config.url}: no heartbeat of an autopilot in {timeout_s:g} s;"
-                f" one of {', '.join(NAMES.values())} must send to this link"
-            )
+            raise self.no_vehicle(timeout_s)
         return vehicle.name
+
+    def no_vehicle(self, timeout_s: float) -> LinkError:
+        """Why none was found in so long: the four kinds of a link without an autopilot differ."""
+        return self.companion.vehicle.fault or LinkError(
+            f"mavlink.url {self.config.url}: no heartbeat of an autopilot in {timeout_s:g} s (one"
+            f" of {', '.join(NAMES.values())}): {self._traffic.words(self._codec.refused)}"
+        )
 
     def wanted(self) -> int | None:
         """The stamp for which a state is wanted now, besides those at captures; None: for none."""
@@ -212,23 +229,42 @@ class Bridge:
         self._keep_on_disk()
 
     def _take(self, data: bytes, peer: Peer, arrival: int, transport: Transport) -> None:
+        self._traffic.bytes += len(data)
         for message in self._codec.decode(data):
             self.counters["heard"] += 1
-            kind = message.get_type()
+            self._traffic.heard(message)
+            if not self._admitted(message, peer, arrival, transport):
+                continue
             with self._brain:
                 out = self.companion.heard(message, arrival)
-                heard_system = self.companion.vehicle.system
             self._send(out)
-            if kind == "HEARTBEAT":
-                self._met(message, peer, heard_system, transport)
+            if message.get_type() == "HEARTBEAT":
+                self._met(peer, arrival, transport)
             for listener in self._listeners:
                 listener(message, arrival)
         self.counters["broken"] = self._codec.bad
+        self._traffic.complain(self._codec.bad, arrival)
 
-    def _met(self, message: Any, peer: Peer, system: int | None, transport: Transport) -> None:
-        """A heartbeat: answer to where the autopilot's come from, and tell who waits for it."""
-        if system is None or self.companion.vehicle.is_mine(message):
+    def _admitted(self, message: Any, peer: Peer, arrival: int, transport: Transport) -> bool:
+        """Whether a frame is heard at all: signed where the vehicle's must be, no claimant's."""
+        vehicle = self.companion.vehicle
+        mine = vehicle.is_mine(message)
+        if self.config.signing is not None and not message.get_signed():
+            self.counters["unsigned"] += mine
+            return not mine
+        other = message.get_type() == "HEARTBEAT" and not is_vehicle(message)
+        ids = mine and vehicle.system is not None and not other
+        claim = self.binding.judge(peer, ids, arrival)
+        if peer is not None and peer == self.binding.address:
             transport.adopt(peer)
+        return claim is not Claim.REFUSED
+
+    def _met(self, peer: Peer, arrival: int, transport: Transport) -> None:
+        """A heartbeat: bind to where the vehicle's first came from; tell who waits for it."""
+        if self.binding.address is None:
+            transport.adopt(peer)  # a router sends nothing to whom it has not heard
+            if self.companion.vehicle.system is not None:
+                self.binding.bind(peer, arrival)
         with self._ready:
             self._ready.notify_all()
 
@@ -239,6 +275,10 @@ class Bridge:
             transport = self._transport
             for message in messages:
                 frame = self._codec.encode(message)
+                now = now_ns()  # directly before the write: a process may be stopped anywhere
+                if self.companion.expired(message, now):
+                    self.counters["expired"] += 1
+                    continue
                 try:
                     sent = transport is not None and transport.write(frame)
                 except OSError:
@@ -246,7 +286,7 @@ class Bridge:
                     self._wake()
                 self.counters["sent" if sent else "not_sent"] += 1
                 for watcher in self._watchers if sent else ():
-                    watcher(message, now_ns())
+                    watcher(message, now)
 
     def _drop(self) -> None:
         with self._writer:

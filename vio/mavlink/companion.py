@@ -12,9 +12,10 @@ import numpy as np
 
 from tagvo.geometry import Array
 from vio.clock import Asker, ClockTrack, learn, to_ours
-from vio.frames import Alignment, NedPose, to_ned
+from vio.frames import Alignment, NedPose, euler_321, largest_sigmas, to_ned
 from vio.health import Health
 from vio.mavlink import fields
+from vio.mavlink.belief import BeliefCheck, SentPose
 from vio.mavlink.fields import Outgoing
 from vio.mavlink.heading import Heading
 from vio.mavlink.latency import AgeMeter, delay_advice
@@ -26,11 +27,16 @@ from vio.mavlink.vehicle import Vehicle
 from vio.mavlink.words import Speaker
 from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment
+from vio.settings import HealthConfig
 
 LOG = logging.getLogger("vio.mavlink")
 _SECOND = 1_000_000_000
 _MUTE_NS = _SECOND  # the filter has said nothing for so long: it is not trusted
 _ATTITUDE_HZ = 20.0
+_BELIEF_HZ = 5.0  # enough for a word after two seconds
+_SILENT_NS, _BOOTS_NS = 3 * _SECOND // 2, 5 * _SECOND  # no boot is quicker; back since so long
+_UNANSWERED_NS = 3 * _SECOND  # 30 questions without an answer
+_STEEP_RAD = 1.0  # beyond so much pitch a yaw says little
 _NEVER = -(1 << 62)
 
 
@@ -48,25 +54,34 @@ class Companion:
         p_BI: Array,
         first_counter: int,
         message_ids: dict[str, int],
+        limits: HealthConfig | None = None,
+        mute: bool = False,
     ) -> None:
-        """R_BI (3, 3), p_BI (3,): I in the vehicle's body; message_ids: MAVLink's, by name."""
+        """R_BI (3, 3), p_BI (3,): I in the vehicle's body; message_ids: MAVLink's, by name; limits:
+        `vio.health`, beyond whose sigmas no pose leaves; mute: tell the ground nothing."""
         self.config = config
         self.vehicle = Vehicle(config)
         self.resets = ResetCounter(first_counter)
         self.heading = Heading(config, R_BI)
         self.origin = OriginKeeper(config.origin)
-        self.policy = SendPolicy(_rules(config))
+        self.policy = SendPolicy(_rules(config, limits or HealthConfig()))
         self.ages = AgeMeter()
         self.clock: ClockTrack | None = None
         self.counters: Counter[str] = Counter()
         self.imu = _stream(config.imu.message, message_ids, config.imu.rate_hz)
         self._attitude = _stream("ATTITUDE", message_ids, _ATTITUDE_HZ)
+        self.belief = None if config.belief is None else BeliefCheck(config.belief)
+        names = ("LOCAL_POSITION_NED", "ATTITUDE") if self.belief is not None else ()
+        self._told = [StreamRequest(n, message_ids[n], _BELIEF_HZ, listens=True) for n in names]
+        self.alarms: dict[str, str] = {}
+        self._signs_since_ns: int | None = None  # the autopilot signs, and we do not
         self._R_BI, self._p_BI = R_BI, p_BI
-        self.asker, self._speaker = Asker(), Speaker()
+        self.asker, self._speaker = Asker(), Speaker(mute)
         self._health: Health | None = None
         self._offered_ns = self._heartbeat_ns = self._asked_ns = _NEVER
         self._uptime_ns: dict[str, int] = {}  # of the autopilot, as each of its clocks tells it
-        self._restarted_ns = _NEVER
+        self._restarted_ns = self._back_ns = _NEVER
+        self._frame_ns: int | None = None
         self._waits_for: StreamRequest | None = None  # whose question is not answered yet
         self._waits_since = _NEVER
         self._waiting: deque[tuple[int, list[Outgoing]]] = deque()  # poses, and when they may leave
@@ -81,12 +96,19 @@ class Companion:
             self._speaker.say(f"connected to {self.vehicle.name}", fields.INFO)
         if not self.vehicle.is_mine(message):
             return []
+        if self._frame_ns is not None and now_ns - self._frame_ns > _SILENT_NS:
+            self._back_ns = now_ns
+        self._frame_ns = now_ns
+        if self.signs(message) and self._signs_since_ns is None:
+            self._signs_since_ns = now_ns
         if name == "TIMESYNC":
             return self._timesync(message, now_ns)
         if self.imu is not None and name == self.imu.name:
             self.imu.arrived(now_ns)
         elif name == "ATTITUDE":
             self._take_attitude(message, now_ns)
+        elif name == "LOCAL_POSITION_NED":
+            self._take_position(message, now_ns)
         elif name == "GPS_GLOBAL_ORIGIN":
             self.origin.heard(message)
         elif name == "SYSTEM_TIME":
@@ -114,13 +136,32 @@ class Companion:
         return []
 
     def _take_attitude(self, message: Any, now_ns: int) -> None:
+        self._arrived("ATTITUDE", now_ns)
+        t_ns = self._in_ours(message.time_boot_ms, now_ns)
+        if self.belief is not None and abs(message.pitch) < _STEEP_RAD:
+            self.belief.yaw(t_ns, message.yaw)
         if self._attitude is None or not self.heading.sought:
             return
         self._attitude.arrived(now_ns)
-        t_ns = now_ns
-        if self.clock is not None:
-            t_ns = to_ours(self.clock, message.time_boot_ms * 1_000_000)
         self.heading.attitude(t_ns, message.yaw)
+
+    def _take_position(self, message: Any, now_ns: int) -> None:
+        self._arrived("LOCAL_POSITION_NED", now_ns)
+        if self.belief is not None:
+            p_NB = np.array([message.x, message.y, message.z])
+            self.belief.position(self._in_ours(message.time_boot_ms, now_ns), p_NB)
+
+    def _in_ours(self, boot_ms: int, now_ns: int) -> int:
+        return now_ns if self.clock is None else to_ours(self.clock, boot_ms * 1_000_000)
+
+    def _arrived(self, name: str, now_ns: int) -> None:
+        for stream in self._told:
+            if stream.name == name:
+                stream.arrived(now_ns)
+
+    def signs(self, message: Any) -> bool:
+        """Whether a message is signed and nobody gave us a key: such an autopilot drops ours."""
+        return self.config.signing is None and bool(message.get_header().incompat_flags & 1)
 
     def _up_for(self, clock: str, uptime_ns: int, now_ns: int) -> None:
         """Take the autopilot's time since its start; where it has gone back, all is forgotten."""
@@ -131,8 +172,8 @@ class Companion:
         self._restarted_ns = now_ns
         LOG.warning("%s has started again", self.vehicle.name)
         self.counters["autopilot_restarts"] += 1
-        self.origin.restarted()
-        for stream in (self.imu, self._attitude):
+        self.origin.restarted(now_ns - self._back_ns < _BOOTS_NS)
+        for stream in (self.imu, self._attitude, *self._told):
             if stream is not None:
                 stream.restarted()
 
@@ -152,7 +193,10 @@ class Companion:
         """All that time itself asks for."""
         out: list[Outgoing] = []
         while self._waiting and self._waiting[0][0] <= now_ns:
-            out += self._waiting.popleft()[1]
+            waited = self._waiting.popleft()[1]
+            late = sum(self.expired(message, now_ns) for message in waited)
+            self.counters["held_too_old"] += late
+            out += [] if late else waited
         if now_ns - self._heartbeat_ns >= _SECOND:
             self._heartbeat_ns = now_ns
             out.append(fields.heartbeat(self._status(now_ns)))
@@ -162,15 +206,21 @@ class Companion:
             return out
         if asks:
             out.append(fields.timesync(self.asker.ask(now_ns), 0))
+        self._look_at_signing(now_ns)
         out += self.origin.due(self.vehicle, now_ns)
         out += self._stream_questions(now_ns)
         return out + self._speaker.due(now_ns)
+
+    def expired(self, message: Outgoing, now_ns: int) -> bool:
+        """Whether it is a pose that is too old to leave: to be asked directly before the write."""
+        return message.t_ns is not None and now_ns - message.t_ns > self.policy.rules.max_age_ns
 
     def _stream_questions(self, now_ns: int) -> list[Outgoing]:
         """One question at a time: an answer does not say which message it is about."""
         if self._waits_for is not None and now_ns - self._waits_since < _SECOND:
             return []
-        for stream in (self.imu, self._attitude if self.heading.sought else None):
+        told = [self._attitude] if self.heading.sought else self._told
+        for stream in (self.imu, *told):
             question = [] if stream is None else stream.due(self.vehicle, now_ns)
             if question:
                 self._waits_for, self._waits_since = stream, now_ns
@@ -179,7 +229,36 @@ class Companion:
 
     def _status(self, now_ns: int) -> int:
         mute = self._health is not None and now_ns - self._offered_ns > _MUTE_NS
-        return fields.CRITICAL if mute else fields.system_status(self._health)
+        return fields.CRITICAL if mute else fields.system_status(self._health, bool(self.alarms))
+
+    def alarm(self, name: str, text: str | None) -> None:
+        """Set an alarm, or clear it (None); while one is set HEARTBEAT is critical."""
+        if text is None:
+            if self.alarms.pop(name, None) is not None:
+                LOG.warning("%s: well again", name)
+                self.say(f"{name}: well again", fields.INFO)
+        elif self.alarms.get(name) != text:
+            self.counters[f"alarm_{name}"] += name not in self.alarms
+            self.alarms[name] = text
+            LOG.warning("%s: %s", name, text)
+            self.say(text, fields.ERROR)
+
+    def _look_at_signing(self, now_ns: int) -> None:
+        since = self._signs_since_ns
+        if self.clock is not None:
+            self.alarm("signing", None)
+        elif since is not None and now_ns - since > _UNANSWERED_NS:
+            self.alarm("signing", "autopilot signs, answers nothing: mavlink.signing.key_file")
+
+    def _look_at_belief(self, t_ns: int, pose: NedPose) -> None:
+        """Take a pose that is sent; say where the autopilot differs, and when it no longer does."""
+        if self.belief is None:
+            return
+        before = self.belief.state
+        yaw = float(euler_321(pose.R_NF)[2])
+        self.belief.sent(SentPose(t_ns, pose.p_NB, yaw), self.resets.value)
+        if self.belief.state is not before:
+            self.alarm("belief", self.belief.words())
 
     def say(self, text: str, severity: int) -> None:
         """Have the ground station read something, when its turn comes."""
@@ -215,7 +294,7 @@ class Companion:
         if not _finite(moment):
             self.counters["held_not_finite"] += 1
             return []
-        if self.resets.look(moment, health.state, health.resets):
+        if self.resets.look(moment, health.state, health.resets, self.vehicle.armed):
             self.heading.relevelled()
             LOG.info("the pose has jumped (%s): reset counter %d",
                      self.resets.causes[-1], self.resets.value)  # fmt: skip
@@ -226,7 +305,9 @@ class Companion:
         if why:
             self.counters[f"held_{why}"] += 1
         leaves_ns = self.policy.leaves_at(now_ns)
-        verdict = self.policy.decide(moment.t_ns, captured, health.state, now_ns, bool(why))
+        verdict = self.policy.decide(
+            moment.t_ns, captured, health.state, now_ns, bool(why), largest_sigmas(pose)
+        )
         if verdict is Verdict.COASTED and not self._withheld:
             self._withheld = True
             self._speaker.say("has coasted long enough: pose withheld", fields.WARNING)
@@ -235,6 +316,7 @@ class Companion:
         self._withheld = False
         if captured:
             self.ages.add(leaves_ns - moment.t_ns)
+        self._look_at_belief(moment.t_ns, pose)
         out = self._messages(moment.t_ns, pose, health)
         if leaves_ns <= now_ns:
             return out
@@ -287,12 +369,14 @@ def _finite(moment: Moment) -> bool:
     return all(np.isfinite(part).all() for part in parts)
 
 
-def _rules(config: MavlinkConfig) -> Rules:
+def _rules(config: MavlinkConfig, limits: HealthConfig) -> Rules:
     return Rules(
         config.rate_hz,
         round(config.max_age_s * 1e9),
         round(config.coast_s * 1e9),
         config.valid_at == "capture",
+        limits.lost_sigma_m,
+        limits.lost_sigma_deg,
     )
 
 

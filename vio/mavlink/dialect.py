@@ -48,6 +48,12 @@ class Codec:
                 messages.append(message)
         return messages
 
+    @property
+    def refused(self) -> int:
+        """Frames that were whole but unsigned, or signed with another key."""
+        signing = self._in.signing
+        return int(signing.badsig_count + signing.reject_count)
+
     def sign(self, key: bytes, link_id: int, timestamp: int, accept_unsigned: bool) -> None:
         """Sign what leaves and check what comes; timestamp in 10 us since 2015."""
         for side in (self._out, self._in):

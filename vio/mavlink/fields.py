@@ -14,7 +14,7 @@ LOCAL_NED, BODY_FRD, LOCAL_FRD = 1, 12, 20  # MAV_FRAME
 ARDUPILOT, PX4, NO_AUTOPILOT = 3, 12, 8  # MAV_AUTOPILOT
 ONBOARD_CONTROLLER = 18  # MAV_TYPE
 BOOT, ACTIVE, CRITICAL, TERMINATION = 1, 4, 5, 8  # MAV_STATE
-WARNING, INFO = 4, 6  # MAV_SEVERITY
+ERROR, WARNING, INFO = 3, 4, 6  # MAV_SEVERITY
 VIO_ESTIMATOR = 3  # MAV_ESTIMATOR_TYPE
 SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 511, 512  # MAV_CMD
 GPS_GLOBAL_ORIGIN_ID = 49
@@ -26,10 +26,11 @@ _QUALITY = {State.TRACKING: 100, State.COASTING: 30, State.RELOCATING: 10}
 
 @dataclass(frozen=True, slots=True)
 class Outgoing:
-    """One message to send: its MAVLink name and all its fields."""
+    """One message to send: its MAVLink name and all its fields; t_ns: when a pose holds."""
 
     name: str
     fields: dict[str, Any]
+    t_ns: int | None = None
 
 
 def vision_position_estimate(t_ns: int, pose: NedPose, counter: int) -> Outgoing:
@@ -45,6 +46,7 @@ def vision_position_estimate(t_ns: int, pose: NedPose, counter: int) -> Outgoing
             "covariance": triangle(pose.cov),
             "reset_counter": counter,
         },
+        t_ns,
     )  # fmt: skip
 
 
@@ -60,6 +62,7 @@ def vision_speed_estimate(t_ns: int, pose: NedPose, counter: int) -> Outgoing | 
         "VISION_SPEED_ESTIMATE",
         {"usec": t_ns // 1000, "x": x, "y": y, "z": z,
          "covariance": covariance, "reset_counter": counter},
+        t_ns,
     )  # fmt: skip
 
 
@@ -84,6 +87,7 @@ def odometry(t_ns: int, pose: NedPose, counter: int, frame_id: int, quality: int
             "estimator_type": VIO_ESTIMATOR,
             "quality": quality,
         },
+        t_ns,
     )  # fmt: skip
 
 
@@ -114,8 +118,13 @@ def heartbeat(system_status: int) -> Outgoing:
     return Outgoing("HEARTBEAT", fields)
 
 
-def system_status(health: Health | None) -> int:
-    """MAV_STATE for the heartbeat; None: nothing has been heard of the filter yet."""
+def system_status(health: Health | None, alarmed: bool = False) -> int:
+    """MAV_STATE for the heartbeat; None: nothing has been heard of the filter yet.
+
+    alarmed: critical, but for a filter that is lost, which is worse.
+    """
+    if alarmed and (health is None or health.state is not State.LOST):
+        return CRITICAL
     if health is None or health.state is State.INIT:
         return BOOT
     if health.state is State.TRACKING:

@@ -6,6 +6,7 @@ from typing import Any
 from vio.mavlink.fields import (
     ARDUPILOT,
     GPS_GLOBAL_ORIGIN_ID,
+    PX4,
     REQUEST_MESSAGE,
     Outgoing,
     command,
@@ -28,6 +29,7 @@ class OriginKeeper:
         self._first_ns: int | None = None
         self._last_ns: int | None = None
         self._given_up = self._said = False
+        self._was_ready = config is None
 
     def due(self, vehicle: Vehicle, now_ns: int) -> list[Outgoing]:
         """What to send now: nothing, or the origin and a question for it.
@@ -43,11 +45,25 @@ class OriginKeeper:
             return []
         self._first_ns = now_ns if self._first_ns is None else self._first_ns
         self._last_ns = now_ns
-        c = self._config
         question = command(vehicle.system, REQUEST_MESSAGE, GPS_GLOBAL_ORIGIN_ID)
         if vehicle.armed:
             return [question]
-        return [set_gps_global_origin(vehicle.system, c.lat_deg, c.lon_deg, c.alt_m), question]
+        return [self._origin(vehicle.system, vehicle.autopilot, self._config), question]
+
+    def _origin(self, system: int, autopilot: int | None, place: OriginConfig) -> Outgoing:
+        """The origin as this autopilot needs it.
+
+        PX4 takes vision's height for an altitude and has local z = -(altitude - the origin's): any
+        other altitude than 0 would move its local height by that much.
+        """
+        alt_m = 0.0 if autopilot == PX4 else place.alt_m
+        if alt_m != place.alt_m and not self._said:
+            LOG.info(
+                "mavlink.origin.alt_m %g is not sent to PX4, whose local height it would move",
+                place.alt_m,
+            )
+            self._said = True
+        return set_gps_global_origin(system, place.lat_deg, place.lon_deg, alt_m)
 
     def _say_none(self, vehicle: Vehicle) -> None:
         if not self._said and vehicle.autopilot == ARDUPILOT:
@@ -66,7 +82,10 @@ class OriginKeeper:
 
     def ready(self, now_ns: int) -> bool:
         """Whether poses may go out."""
-        if self._config is None or self.confirmed or self._given_up:
+        if self._was_ready:  # once poses flow nothing withholds them: not a clock that steps back
+            return True
+        if self.confirmed or self._given_up:
+            self._was_ready = True
             return True
         if self._first_ns is not None and now_ns - self._first_ns > _WAIT_NS:
             self._given_up = True
@@ -74,7 +93,11 @@ class OriginKeeper:
                         " on; without one ArduPilot refuses to arm", _WAIT_NS * 1e-9)  # fmt: skip
         return self._given_up
 
-    def restarted(self) -> None:
-        """The autopilot has started again and knows no origin."""
+    def restarted(self, was_silent: bool) -> None:
+        """The autopilot has started again and knows no origin.
+
+        was_silent: it has; else only a clock of it stepped back, for which no pose is withheld.
+        """
+        self._was_ready = self._config is None or not was_silent
         self.confirmed = self._given_up = False
         self._first_ns = self._last_ns = None

@@ -25,12 +25,15 @@ class Verdict(StrEnum):
 @dataclass(frozen=True, slots=True)
 class Rules:
     """rate_hz: of the messages; max_age_ns: no older one leaves; coast_ns: how long without tags;
-    at_capture: states at captures are preferred, others only fill in where they stay away."""
+    at_capture: states at captures are preferred, others only fill in where they stay away;
+    lost_sigma_m, lost_sigma_deg: nothing less certain leaves, whatever its state is called."""
 
     rate_hz: float = 30.0
     max_age_ns: int = 200_000_000
     coast_ns: int = 500_000_000
     at_capture: bool = True
+    lost_sigma_m: float = float("inf")
+    lost_sigma_deg: float = float("inf")
 
     @property
     def fill_ns(self) -> int:
@@ -56,18 +59,30 @@ class SendPolicy:
         self._coasts_since: int | None = None
 
     def decide(
-        self, t_ns: int, captured: bool, state: State, now_ns: int, held: bool = False
+        self,
+        t_ns: int,
+        captured: bool,
+        state: State,
+        now_ns: int,
+        held: bool = False,
+        sigma: tuple[float, float] = (0.0, 0.0),
     ) -> Verdict:
         """About a state valid at t_ns, at the capture of a frame or not; counts its verdict.
 
-        held: nothing can be sent now, whatever it is.
+        held: nothing can be sent now, whatever it is. sigma: of the pose itself, its largest axis
+        [m], [deg].
         """
         halted = self._halted(t_ns, state)
+        if halted in (None, Verdict.COASTED) and self._unsure(sigma):
+            halted = Verdict.LOST
         if halted is None and held:
             halted = Verdict.HELD
         verdict = halted or self._verdict(t_ns, captured, now_ns)
         self.counters[verdict.value] += 1
         return verdict
+
+    def _unsure(self, sigma: tuple[float, float]) -> bool:
+        return sigma[0] > self.rules.lost_sigma_m or sigma[1] > self.rules.lost_sigma_deg
 
     def leaves_at(self, now_ns: int) -> int:
         """When the next one may leave: 23 ms after the one before; asked before `decide`."""

@@ -1,8 +1,10 @@
 """The reset counter: the autopilot's only way to know that the pose has jumped, not the vehicle."""
 
-from vio.frames import Levelling, levelled, relevelled
+from vio.frames import ON_GROUND_RAD, RELEVEL_RAD, Levelling, levelled, relevelled
 from vio.health import State
 from vio.records import Moment
+
+_APART_NS = 5_000_000_000  # between two moves on the ground: each resets the autopilot's filter
 
 
 class ResetCounter:
@@ -17,6 +19,7 @@ class ResetCounter:
         self.causes: list[str] = []
         self._on_disk: int | None = None
         self._resets: int | None = None
+        self._levelled_ns = 0
 
     @property
     def unsaved(self) -> bool:
@@ -27,11 +30,12 @@ class ResetCounter:
         """This value is on disk."""
         self._on_disk = value
 
-    def look(self, moment: Moment, state: State, resets: int) -> bool:
+    def look(self, moment: Moment, state: State, resets: int, armed: bool = True) -> bool:
         """Take one state of the filter; whether the counter has moved.
 
         resets: how often the filter's estimate has jumped. The map is levelled once the filter has
-        started, anew when that jumps, and else where gravity has surely moved by more than 0.5 deg.
+        started, anew when that jumps, and else where gravity has surely moved: while disarmed by
+        more than 0.1 deg and at most once in 5 s, armed by more than 0.5 deg.
         """
         if state is State.INIT:
             return False
@@ -40,10 +44,23 @@ class ResetCounter:
         if self.levelling is None or jumped:
             axis = None if self.levelling is None else self.levelling.axis
             self.levelling = levelled(moment.down_W, axis)
-            turned = False
+            self._levelled_ns, turned = moment.t_ns, False
         else:
-            self.levelling, turned = relevelled(self.levelling, moment.down_W, moment.down_sigma)
+            turned = self._relevel(moment, armed)
         if jumped or turned:
             self.value = (self.value + 1) % 256
             self.causes.append("relocated" if jumped else "levelled anew")
         return jumped or turned
+
+    def _relevel(self, moment: Moment, armed: bool) -> bool:
+        """Follow gravity where it has surely moved; whether the levelling is another one."""
+        assert self.levelling is not None
+        if not armed and moment.t_ns - self._levelled_ns < _APART_NS:
+            return False
+        least_rad = RELEVEL_RAD if armed else ON_GROUND_RAD
+        self.levelling, turned = relevelled(
+            self.levelling, moment.down_W, moment.down_sigma, least_rad
+        )
+        if turned:
+            self._levelled_ns = moment.t_ns
+        return turned

@@ -13,13 +13,16 @@ _PX4_HZ = 400.0  # 200 asked of PX4 gives 123: it sends each sample or each seco
 _PATIENCE_NS = 3_000_000_000
 _SPAN_NS = 2_000_000_000
 _SHORT = 0.9  # of the rate that is needed
+_FAIR = 0.5  # likewise, where a few messages more or less are all the same
 
 
 class StreamRequest:
     """One message of one vehicle: `due` asks, `arrived` counts, `rate_hz` is what comes."""
 
-    def __init__(self, name: str, message_id: int, rate_hz: float) -> None:
+    def __init__(self, name: str, message_id: int, rate_hz: float, listens: bool = False) -> None:
+        """listens: asks only where too little comes by itself; others may need it faster."""
         self.name, self.needed_hz = name, rate_hz
+        self._listens = listens
         self._id = message_id
         self._asked_ns: int | None = None
         self._asked_hz = 0.0
@@ -43,14 +46,18 @@ class StreamRequest:
         """The question, where it is time for it."""
         if vehicle.system is None or not vehicle.alive(now_ns):
             return []
+        if self._listens and self._asked_ns is None:
+            self._asked_ns = now_ns
+            return []
         if self._asked_ns is not None:
             if now_ns - self._asked_ns < _PATIENCE_NS * min(4, 1 + self._tries // 3):
                 return []
             rate = self.rate_hz(now_ns)
-            if rate >= _SHORT * self.needed_hz:
+            if rate >= (_FAIR if self._listens else _SHORT) * self.needed_hz:
                 self._tries = 0
                 return []
-            self._say(self._shortfall(rate, vehicle))
+            if self._asked_hz:
+                self._say(self._shortfall(rate, vehicle))
         self._tries += 1
         self._asked_ns = now_ns
         fast = vehicle.autopilot == PX4 and not self._refused and self.needed_hz > 50.0
@@ -74,6 +81,8 @@ class StreamRequest:
     def _shortfall(self, rate: float, vehicle: Vehicle) -> str:
         if rate == 0.0:
             return f"{self.name} does not come; {vehicle.name} was asked for {self._asked_hz:g} Hz"
+        if self._listens:
+            return f"{self.name} comes at {rate:.1f} Hz; {self.needed_hz:g} Hz were asked for"
         return (
             f"{self.name} comes at {rate:.0f} Hz, {self.needed_hz:g} Hz are needed and"
             f" {self._asked_hz:g} were asked for: raise the link's rate (MAV_x_RATE, baud) or"

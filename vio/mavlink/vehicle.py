@@ -10,8 +10,16 @@ from vio.mavlink_settings import MavlinkConfig
 LOG = logging.getLogger("vio.mavlink")
 NAMES = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
 _NUMBERS = {"ardupilot": ARDUPILOT, "px4": PX4}
+# MAV_TYPEs that never fly: antenna tracker, ground station, onboard controller, gimbal, ADSB,
+# camera and the rest of the peripherals; some router says theirs with an autopilot's component
+NEVER_VEHICLES = frozenset({5, 6, 18, 26, 27, *range(30, 35), *range(36, 43)})
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 _SILENT_NS = 3_500_000_000  # three heartbeats are missing
+
+
+def is_vehicle(message: Any) -> bool:
+    """Whether a HEARTBEAT is that of an autopilot: its type tells what it is, not its ids."""
+    return message.type not in NEVER_VEHICLES and message.autopilot != NO_AUTOPILOT
 
 
 class Vehicle:
@@ -35,23 +43,31 @@ class Vehicle:
 
     def heartbeat(self, message: Any, now_ns: int) -> bool:
         """Take a HEARTBEAT; whether the vehicle has just been found or is back."""
-        if not self.is_mine(message) or message.autopilot == NO_AUTOPILOT:
+        if not self.is_mine(message) or not is_vehicle(message):
             return False
         if self._named is None and message.autopilot not in NAMES:
-            self.fault = LinkError(
-                f"the flight controller (system {message.get_srcSystem()}) is of type"
-                f" {message.autopilot}, neither ArduPilot (3) nor PX4 (12); if it behaves as one of"
-                " them say so: mavlink.autopilot=ardupilot or px4"
-            )
+            self._unknown(message)
             return False
         news = self.system is None or self._lost
         self.system = message.get_srcSystem()
         self.autopilot = message.autopilot if self._named is None else self._named
         self.armed = bool(message.base_mode & _ARMED)
-        self._heard_ns, self._lost = now_ns, False
+        self._heard_ns, self._lost, self.fault = now_ns, False, None
         if news:
             LOG.info("%s, system %d, is there", self.name, self.system)
         return news
+
+    def _unknown(self, message: Any) -> None:
+        """An autopilot of another make: told once; one that is known is waited for."""
+        if self.system is not None or self.fault is not None:
+            return
+        self.fault = LinkError(
+            f"the flight controller (system {message.get_srcSystem()}) is of type"
+            f" {message.autopilot}, neither ArduPilot (3) nor PX4 (12); where several talk on this"
+            " link name yours: mavlink.system_id=N; if this one behaves as one of them say so:"
+            " mavlink.autopilot=ardupilot or px4"
+        )
+        LOG.warning("%s", self.fault)
 
     @property
     def name(self) -> str:

@@ -29,7 +29,9 @@ _WHY = {
 class Speaker:
     """Keeps the newest thing to say; `due` hands it over as STATUSTEXT."""
 
-    def __init__(self) -> None:
+    def __init__(self, mute: bool = False) -> None:
+        """mute: say nothing, ever."""
+        self._mute = mute
         self._next: list[tuple[str, int]] = []
         self._state: State | None = None
         self._last_ns: int | None = None
@@ -58,6 +60,8 @@ class Speaker:
 
     def due(self, now_ns: int) -> list[Outgoing]:
         """What to send now."""
+        if self._mute:
+            self._next.clear()
         if not self._next or (self._last_ns is not None and now_ns - self._last_ns < _APART_NS):
             return []
         self._last_ns = now_ns
