@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tagvo.errors import shown
 from tagvo.geometry import Array, IntArray
 from tagvo.records import Detections
 from tagvo.textfile import finite_number, read_yaml
@@ -205,12 +206,12 @@ def read_imu_noise(path: Path, name: str = "imu0") -> ImuNoise:
         values[ours] = finite_number(data[key], f"{path} {key}", LogError)
         lowest = "a positive number" if key.endswith("density") else "a number of at least 0"
         if values[ours] < 0.0 or (values[ours] == 0.0 and key.endswith("density")):
-            raise LogError(f"{path} {key}: {data[key]!r}; {lowest} is needed")
+            raise LogError(f"{path} {key}: {shown(data[key])}; {lowest} is needed")
     rate = data.get("update_rate")
     if rate is not None:
         rate = finite_number(rate, f"{path} update_rate", LogError)
         if rate <= 0.0:
-            raise LogError(f"{path} update_rate: {rate!r}; a positive number of Hz is needed")
+            raise LogError(f"{path} update_rate: {shown(rate)}; a positive number of Hz is needed")
     return ImuNoise(**values, rate_hz=rate)
 
 

@@ -24,7 +24,8 @@ class Foreign:
     """The content of one or several files of another system.
 
     imus: by the name that they get in a flight log; noted_ns: by the same name, arrivals that were
-    noted in another clock than the stamps', (n,); truth of I in W; notes: what a person must know.
+    noted in another clock than the stamps', (n,); truth of I in W; notes: what a person must know;
+    rectified: pixels are of rectified images; image_topic: of a bag's images.
     """
 
     imus: Mapping[str, ImuTrack] = field(default_factory=dict)
@@ -33,3 +34,5 @@ class Foreign:
     camera: Camera | None = None
     frames: FrameReel | None = None
     notes: tuple[str, ...] = ()
+    rectified: bool = False
+    image_topic: str | None = None
