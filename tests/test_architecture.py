@@ -57,6 +57,7 @@ VIO = (
     {"estimator", "arms", "warmup"},
     {"filter_arm"},
     {"sources", "sinks", "mavlink", "sim", "evaluate"},
+    {"unmapped"},
     {"run", "doctor", "sitl"},
     {"config"},
     {"daemon", "reproduce"},

@@ -25,7 +25,7 @@ from vio.sources.foreign.messages import (
     stamp_ns,
     tags_of,
 )
-from vio.sources.foreign.records import Foreign, FrameReel
+from vio.sources.foreign.records import Foreign, FrameReel, said
 from vio.sources.foreign.topics import COMPRESSED, Topic, choose, is_rectified
 from vio.sources.tally import Tally
 
@@ -103,7 +103,7 @@ def _opened(path: Path) -> Iterator[Any]:
         reader.open()
     except (AnyReaderError, *_BROKEN) as err:
         hint = "; `rosbag reindex` or `ros2 bag reindex` may help" if path.exists() else ""
-        raise LogError(f"{path}: not a bag that can be read ({_said(err)}){hint}") from None
+        raise LogError(f"{path}: not a bag that can be read ({said(err)}){hint}") from None
     try:
         yield reader
     finally:
@@ -132,13 +132,13 @@ class _Bag:
                 return
             except Exception as err:  # whatever a broken file makes of a decoder
                 self._tally.count(
-                    "bag_broken", f"{self._path}: {topic.name} ends here ({_said(err)})"
+                    "bag_broken", f"{self._path}: {topic.name} ends here ({said(err)})"
                 )
                 return
             try:
                 message = self._reader.deserialize(raw, connection.msgtype)
             except Exception as err:
-                text = f"{self._path}: a message of {topic.name} is broken ({_said(err)})"
+                text = f"{self._path}: a message of {topic.name} is broken ({said(err)})"
                 self._tally.count("bag_message_broken", text)
                 continue
             if not 0 <= recorded_ns < _LATEST_NS:
@@ -265,10 +265,6 @@ def _reel(
                 yield Frame(t_ns, image, found, ns if late else None)
 
     return FrameReel(chosen["image"].count, frames)
-
-
-def _said(err: BaseException) -> str:
-    return " ".join(str(err).split()) or type(err).__name__
 
 
 def _at_stamps(track: ImuTrack) -> ImuTrack:

@@ -11,6 +11,15 @@ from vio.records import ImuTrack, Truth
 Step = Callable[[], None]
 
 
+def said(err: BaseException) -> str:
+    """What an exception of another's library says, at most 160 characters on one line."""
+    try:
+        text = " ".join(str(err).split())
+    except Exception:  # such as str() of a giant number
+        text = ""
+    return text[:160] or type(err).__name__
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameReel:
     """The frames of a log, read when asked for: total is how many there are at most."""
