@@ -4,6 +4,7 @@ import sqlite3
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -87,19 +88,26 @@ def _of_rectified(chosen: Mapping[str, Topic], family: str, notes: list[str], pa
     return flat
 
 
+@cache
+def _types() -> Any:
+    """The messages of ROS 2 and of apriltag_msgs; made once, which takes a while."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in APRILTAG_MSGS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """An open rosbags reader; what it cannot open is a LogError."""
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError:
         raise VioError("bags need rosbags: pip install 'tagvio[logs]'") from None
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in APRILTAG_MSGS.items():
-        store.register(get_types_from_msg(text, name))
     try:
-        reader = AnyReader([path], default_typestore=store)
+        reader = AnyReader([path], default_typestore=_types())
         reader.open()
     except (AnyReaderError, *_BROKEN) as err:
         hint = "; `rosbag reindex` or `ros2 bag reindex` may help" if path.exists() else ""

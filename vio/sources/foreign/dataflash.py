@@ -1,6 +1,8 @@
 """ArduPilot's DataFlash log (.bin) by pymavlink: raw IMUs, and a simulator's truth."""
 
+import io
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +60,7 @@ def _columns(path: Path, tally: Tally) -> dict[str, Array]:
         kind, numbered = _kind_of(message.get_type())
         try:
             out[kind].append(tuple(_value(message, key, numbered) for key in _FIELDS[kind]))
-        except (AttributeError, TypeError, ValueError):
+        except (AttributeError, TypeError, ValueError, IndexError):
             tally.count("dataflash_fields", f"{path}: a {kind} without {', '.join(_FIELDS[kind])}")
     return {name: np.array(rows, dtype=float) for name, rows in out.items() if rows}
 
@@ -89,13 +91,16 @@ def _messages(path: Path, tally: Tally) -> Iterator[Any]:
         raise LogError(f"{path}: not a DataFlash log; one starts with the bytes A3 95, or with FMT")
     try:
         text = first == _TEXT
-        reader = (DFReader_text if text else DFReader_binary)(str(path), zero_time_base=True)
+        with redirect_stdout(io.StringIO()):  # pymavlink prints what it passes over
+            reader = (DFReader_text if text else DFReader_binary)(str(path), zero_time_base=True)
     except Exception as err:  # pymavlink raises a bare Exception for a format it does not know
         raise LogError(f"{path}: not a DataFlash log that can be read ({said(err)})") from None
+    chatter = io.StringIO()
     with reader:
         while True:
             try:
-                message = reader.recv_match(type=_WANTED, strict=True)
+                with redirect_stdout(chatter):
+                    message = reader.recv_match(type=_WANTED, strict=True)
             except Exception as err:  # whatever a broken log makes of pymavlink
                 words = f"{path}: reading ends where it is broken ({said(err)})"
                 tally.count("dataflash_broken", words)

@@ -1,6 +1,8 @@
 """PX4's ULog (.ulg) by pyulog: the IMU that its filter uses, and a simulator's truth."""
 
+import io
 import struct
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +57,8 @@ def _open(path: Path) -> Any:
     except ImportError:
         raise VioError("ULog files need pyulog: pip install 'tagvio[logs]'") from None
     try:
-        return ULog(str(path), [_IMU, _ATTITUDE, _POSITION], disable_str_exceptions=True)
+        with redirect_stdout(io.StringIO()):  # what it prints of a broken file is counted here
+            return ULog(str(path), [_IMU, _ATTITUDE, _POSITION], disable_str_exceptions=True)
     except (ULogException, *_BROKEN) as err:
         raise LogError(f"{path}: not a ULog that can be read ({said(err)})") from None
 
