@@ -27,7 +27,8 @@ class Camera:
 
     model: radtan, equidistant or none; intrinsics (4,) fu fv pu pv [px]; coeffs (k,);
     resolution (width, height) [px]; R_CI (3, 3), p_CI (3,): pose of the IMU in the camera
-    (Kalibr's T_cam_imu); timeshift_s: t_imu = t_cam + timeshift; source: the file.
+    (Kalibr's T_cam_imu); timeshift_s: t_imu = t_cam + timeshift; source: the file; notes:
+    what its reader took for granted, a line each.
     """
 
     model: str
@@ -38,6 +39,7 @@ class Camera:
     p_CI: Array = field(default_factory=lambda: np.zeros(3))
     timeshift_s: float = 0.0
     source: str = "camera"
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def kernel_coeffs(self) -> Array:

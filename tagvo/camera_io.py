@@ -1,5 +1,7 @@
 """Reads camera calibrations as others write them: Kalibr, OpenVINS, EuRoC, ROS; writes Kalibr's."""
 
+import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -7,10 +9,11 @@ import numpy as np
 import yaml
 
 from tagvo import geometry as geo
+from tagvo.calibrations import calibration_data
 from tagvo.camera import Camera
-from tagvo.errors import CameraError, choose_one_of
+from tagvo.errors import CameraError, choose_one_of, shown, some_of
 from tagvo.geometry import Array
-from tagvo.textfile import finite_number, finite_numbers, read_yaml, write_atomic
+from tagvo.textfile import finite_number, finite_numbers, write_atomic
 
 _ORTHONORMAL = 1e-3  # how far the rotation of a file may be from one before it is refused
 _SUPPORTED = "pinhole with radtan, equidistant or none"
@@ -24,41 +27,74 @@ _MODELS = {
     "fisheye": "equidistant",
     "none": "none",
 }
+_SKEW_PX = 1.0  # below: within what a corner is found to, far from the image's middle at most
+_LARGEST_PX = 1e6  # a focal length beyond is no lens
+_LARGEST_SIDE = 65_536  # [px] of an image
+_LARGEST_SHIFT_S = 10.0  # beyond, clocks differ, not exposures
+_LARGEST_LEVER_M = 100.0  # of a rig
+_BLOCK_KEYS = {"intrinsics", "camera_matrix", "distortion_model"}
+_NEEDED = (
+    "a Kalibr camchain, a EuRoC sensor.yaml, a ROS CameraInfo, an oST text file or a calibration"
+    " of PhotonVision, OpenCV, camodocal or librealsense (T265) is needed"
+)
 _COUNTS = {"radtan": (4, 5, 8, 12, 14), "equidistant": (4,), "none": (0, 4, 5, 8)}
 _COEFF_KEYS = ("distortion_coeffs", "distortion_coefficients")
 _POSE_KEYS = ("T_cam_imu", "T_imu_cam", "T_BS")  # the last two are camera -> body: inverted
 
 
-def load_camera(path: Path, name: str = "cam0") -> Camera:
+def load_camera(path: Path, name: str | None = None, topic: str | None = None) -> Camera:
     """Camera of a calibration file; CameraError names the file and the field that is wrong.
 
-    Takes a Kalibr camchain (the camera called `name`; also OpenVINS's), one camera of it without
-    the name above, a EuRoC sensor.yaml and a ROS CameraInfo. Without a pose R_CI, p_CI are
-    the identity; without a time shift it is 0.
+    Takes a Kalibr camchain (also OpenVINS's), one camera of it without the name above, a EuRoC
+    sensor.yaml, a ROS CameraInfo, an oST text file, and what PhotonVision, OpenCV, camodocal and
+    librealsense (T265) write. name: of one camera of several, also as `FILE:name` in path; topic:
+    of the images, None: not known; it picks the camera whose `rostopic` it is. Of several cameras
+    none is taken unasked. Without a pose R_CI, p_CI are the identity; without a time shift it is 0.
     """
-    return camera_of(read_yaml(path, CameraError), path, name)
+    file, of_path = named_camera(path)
+    name = name or of_path
+    return camera_of(calibration_data(file, name), file, name, topic)
 
 
-def camera_of(data: dict[str, Any], path: Path, name: str = "cam0") -> Camera:
+def named_camera(path: Path) -> tuple[Path, str | None]:
+    """The file and the camera of `FILE:name`; None where the path names no camera."""
+    stem, colon, name = path.name.rpartition(":")
+    if not colon or not stem or not name or os.path.lexists(path):
+        return path, None
+    return path.with_name(stem), name
+
+
+def camera_of(
+    data: dict[str, Any], path: Path, name: str | None = None, topic: str | None = None
+) -> Camera:
     """The same from what a file (or a message) said, as a mapping; path: how errors call it."""
-    block, where = _camera_block(data, name, path)
+    block, where = _camera_block(data, name, topic, path)
     kind = block.get("camera_model", "pinhole")
     if kind != "pinhole":
-        raise CameraError(f"{where} camera_model: unknown {kind!r}; supported: {_SUPPORTED}")
+        raise CameraError(
+            f"{where} camera_model: unknown {shown(kind)}; supported: {_SUPPORTED}; calibrate"
+            " again with one of these"
+        )
     model, coeffs = _distortion(block, where)
     R_CI, p_CI = _pose(block, where)
     shift = finite_number(
         block.get("timeshift_cam_imu", 0.0), f"{where} timeshift_cam_imu", CameraError
     )
+    if abs(shift) > _LARGEST_SHIFT_S:
+        raise CameraError(f"{where} timeshift_cam_imu: {shift:g} s; at most 10 s is a time shift")
+    if np.abs(p_CI).max() > _LARGEST_LEVER_M:
+        raise CameraError(f"{where} T_cam_imu: {p_CI.tolist()} m; IMU and camera are on one rig")
+    intrinsics, notes = _intrinsics(block, where)
     return Camera(
         model,
-        _intrinsics(block, where),
+        intrinsics,
         coeffs,
         _resolution(block, where),
         R_CI,
         p_CI,
         shift,
         str(path),
+        notes,
     )
 
 
@@ -84,18 +120,42 @@ def save_camera(camera: Camera, path: Path, name: str = "cam0") -> None:
     write_atomic(path, camera_to_yaml(camera, name))
 
 
-def _camera_block(data: dict[str, Any], name: str, path: Path) -> tuple[dict[str, Any], str]:
+def _camera_block(
+    data: dict[str, Any], name: str | None, topic: str | None, path: Path
+) -> tuple[dict[str, Any], str]:
     """The mapping that holds the camera, and how to call it in errors."""
-    if isinstance(data.get(name), dict):
+    if name is not None and isinstance(data.get(name), dict):
         return data[name], f"{path} {name}"
-    if "intrinsics" in data or "camera_matrix" in data or "distortion_model" in data:
+    if _BLOCK_KEYS & set(data):
         return data, str(path)
+    blocks = {
+        str(key): value
+        for key, value in data.items()
+        if isinstance(value, dict) and (_BLOCK_KEYS & set(value) or str(key).startswith("cam"))
+    }
+    if name is None and topic is not None and len(blocks) > 1:
+        wanted = _bare_topic(topic)
+        said = [k for k, v in blocks.items() if _bare_topic(str(v.get("rostopic"))) == wanted]
+        if len(said) == 1:
+            return blocks[said[0]], f"{path} {said[0]}"
+    if name is None and len(blocks) == 1:
+        only = next(iter(blocks))
+        return blocks[only], f"{path} {only}"
     cameras = [str(key) for key, value in data.items() if isinstance(value, dict)]
-    there = f"it has {', '.join(cameras)}" if cameras else "it has no camera"
-    raise CameraError(
-        f"{path}: no `{name}`; {there}; a Kalibr camchain, a EuRoC sensor.yaml"
-        " or a ROS CameraInfo is needed"
-    )
+    if name is None and blocks:
+        topics = some_of(f"{k} ({v.get('rostopic', 'no rostopic')})" for k, v in blocks.items())
+        of = "" if topic is None else f", and none alone is of {topic}"
+        raise CameraError(
+            f"{path}: {len(blocks)} cameras{of}: {topics}; say which, as"
+            f" {path.name}:{next(iter(blocks))}"
+        )
+    there = f"it has {some_of(cameras)}" if cameras else "it has no camera"
+    raise CameraError(f"{path}: no `{name or 'cam0'}`; {there}; {_NEEDED}")
+
+
+def _bare_topic(topic: str) -> str:
+    """The topic of the images themselves, whichever transport carries them."""
+    return "/" + re.sub(r"/(compressed|theora|compressedDepth)$", "", topic).strip("/")
 
 
 def _field(block: dict[str, Any], key: str, where: str, needed: str) -> Any:
@@ -113,12 +173,21 @@ def _flat(value: object) -> object:
     return value
 
 
-def _intrinsics(block: dict[str, Any], where: str) -> Array:
+def _intrinsics(block: dict[str, Any], where: str) -> tuple[Array, tuple[str, ...]]:
+    """fu, fv, pu, pv [px] and what was taken for granted."""
+    notes: tuple[str, ...] = ()
     if "camera_matrix" in block:
         here = f"{where} camera_matrix"
         k = finite_numbers(_flat(block["camera_matrix"]), 9, here, CameraError)
-        if not np.allclose([k[1], k[3], k[6], k[7], k[8] - 1.0], 0.0, atol=1e-9):
-            raise CameraError(f"{here}: {k}; fu 0 pu / 0 fv pv / 0 0 1 is needed (no skew)")
+        skewed = abs(k[1]) < _SKEW_PX
+        if not skewed or not np.allclose([k[3], k[6], k[7], k[8] - 1.0], 0.0, atol=1e-9):
+            raise CameraError(
+                f"{here}: {k}; fu 0 pu / 0 fv pv / 0 0 1 is needed (no skew of {_SKEW_PX:g} px or"
+                " more; below, it is taken as 0)"
+            )
+        if abs(k[1]) > 1e-9:
+            notes = (f"{here}: a skew of {k[1]:g} px is taken as 0; it would move a pixel by"
+                     f" {abs(k[1]):.2g} y/z px",)  # fmt: skip
         values = [k[0], k[4], k[2], k[5]]
     else:
         here = f"{where} intrinsics"
@@ -126,7 +195,9 @@ def _intrinsics(block: dict[str, Any], where: str) -> Array:
         values = finite_numbers(_field(block, "intrinsics", where, needed), 4, here, CameraError)
     if min(values) <= 0.0:
         raise CameraError(f"{here}: {values}; fu, fv, pu, pv must be positive")
-    return np.array(values)
+    if max(values) > _LARGEST_PX:
+        raise CameraError(f"{here}: {values}; at most {_LARGEST_PX:g} pixels are a camera's")
+    return np.array(values), notes
 
 
 def _distortion(block: dict[str, Any], where: str) -> tuple[str, Array]:
@@ -161,7 +232,11 @@ def _resolution(block: dict[str, Any], where: str) -> tuple[int, int]:
         here = f"{where} resolution"
     width, height = finite_numbers(value, 2, here, CameraError)
     if min(width, height) < 1 or width % 1 or height % 1:
-        raise CameraError(f"{here}: {value!r}; two whole numbers of pixels are needed")
+        raise CameraError(f"{here}: {shown(value)}; two whole numbers of pixels are needed")
+    if max(width, height) > _LARGEST_SIDE:
+        raise CameraError(
+            f"{here}: {width:g} x {height:g}; a side has at most {_LARGEST_SIDE} pixels"
+        )
     return int(width), int(height)
 
 

@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeVar
 from pydantic import BaseModel, Field, PositiveFloat, ValidationError
 
 from tagvo.detect.filters import FilterConfig
-from tagvo.errors import ConfigError
+from tagvo.errors import ConfigError, shown
 from tagvo.information import FloorConfig
 from tagvo.joint import JointConfig
 from tagvo.outliers import IqrConfig
@@ -70,18 +70,16 @@ def _say(model: type[BaseModel], fault: Any, where: str, path: Iterable[Any]) ->
     here = f"{where} {'.'.join(keys)}"
     if fault["type"] == "extra_forbidden":
         known = ", ".join(_fields_at(model, fault["loc"][:-1]))
-        return (
-            f"{where} {'.'.join(keys[:-1])}: unknown {keys[-1]!r}; choose one of {known}".replace(
-                "  ", " "
-            ).replace(" :", ":")
-        )
+        inside = ".".join(keys[:-1])
+        above = f"{where} {inside}" if inside else where
+        return f"{above}: unknown {shown(keys[-1])}; choose one of {known}"
     if fault["type"] == "literal_error":
         allowed = fault["ctx"]["expected"].replace("'", "").replace(" or ", ", ")
-        return f"{here}: unknown {fault['input']!r}; choose one of {allowed}"
+        return f"{here}: unknown {shown(fault['input'])}; choose one of {allowed}"
     if fault["type"] in ("model_type", "model_attributes_type"):
-        return f"{here}: {fault['input']!r}; a mapping `key: value` is needed"
+        return f"{here}: {shown(fault['input'])}; a mapping `key: value` is needed"
     message = fault["msg"][:1].lower() + fault["msg"][1:]
-    return f"{here}: {fault['input']!r}; {message}"
+    return f"{here}: {shown(fault['input'])}; {message}"
 
 
 def _fields_at(model: type[BaseModel], loc: tuple[Any, ...]) -> list[str]:

@@ -3,24 +3,27 @@
 Works on the raw mapping of the file, so that a map too broken to load is still examined tag by tag.
 """
 
+import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.errors import MapError, choose_one_of
+from tagvo.errors import MapError, choose_one_of, shown
 from tagvo.families import FAMILIES, Family, family_named
 from tagvo.mapoverlap import Squares, pairs_in_one_plane, penetration
-from tagvo.tagmap import SIZE_KINDS, TagMap, map_from_dict, numbers, unit_quaternion
+from tagvo.tagmap import SIZE_KINDS, TagMap, map_from_dict, position, side, unit_quaternion
 from tagvo.textfile import is_number
 
 _HEADER = ("family", "size_kind", "sigma", "gravity", "border_bits", "tags")
 _TAG_KEYS = ("id", "size", "p", "q", "sigma")
 _GOOD_TAG = {"id": 0, "size": 1.0, "p": [0.0, 0.0, 0.0], "q": [1.0, 0.0, 0.0, 0.0]}
+_LARGEST_ID = 1 << 31  # of any family; larger ones are errors and no numpy integer
+_MOST_LISTED = 12  # places or sizes named in one finding
+_LINES = 20  # of findings for a person
 _TOUCH_M = 1e-6  # borders that overlap by less touch
 _SLACK = 0.01  # share of a side by which margins may overlap on paper: surveys are not exact
 _FACTOR_SLACK = 0.01  # how near a ratio of sizes must come to total/border to look like a mix-up
@@ -33,6 +36,24 @@ class Finding:
     severity: Literal["error", "warning"]
     tag_ids: tuple[int, ...]
     text: str
+
+
+def summed_up(findings: Sequence[Finding]) -> list[str]:
+    """At most 20 lines: all of few findings; of many the first of each kind and their number."""
+    if len(findings) <= _LINES:
+        return [f"{f.severity}: {f.text}" for f in findings]
+    kinds: dict[tuple[str, str], list[Finding]] = defaultdict(list)
+    for finding in findings:
+        shape = re.sub(r"[-+\d.,eE\[\]()]*\d[-+\d.,eE\[\]()]*|'[^']*'", "#", finding.text)
+        kinds[finding.severity, shape].append(finding)
+    lines = []
+    for (severity, _), alike in kinds.items():
+        more = f" (and {len(alike) - 1} more like it)" if len(alike) > 1 else ""
+        lines.append(f"{severity}: {alike[0].text}{more}")
+    if len(lines) <= _LINES:
+        return lines
+    rest = len(lines) - _LINES + 1
+    return [*lines[: _LINES - 1], f"and {rest} more kinds of findings"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,11 +129,11 @@ def _what_load_says(data: dict[str, Any], where: str) -> Iterator[Finding]:
 
 def _tag_faults(tag: object, i: int, family: Family | None, where: str) -> Iterator[Finding]:
     if not isinstance(tag, dict):
-        yield _error(f"{where} tags[{i}]: {tag!r}; a mapping with id, size, p and q is needed")
+        yield _error(f"{where} tags[{i}]: {shown(tag)}; a mapping with id, size, p and q is needed")
         return
     tag_id = tag.get("id")
     whole = isinstance(tag_id, int) and not isinstance(tag_id, bool)
-    here = f"{where} tag {tag_id}" if whole else f"{where} tags[{i}]"
+    here = f"{where} tag {shown(tag_id)}" if whole else f"{where} tags[{i}]"
     ids: tuple[int, ...] = (int(tag_id),) if whole else ()  # type: ignore[arg-type]
     for key in tag:
         if key not in _TAG_KEYS:
@@ -121,12 +142,13 @@ def _tag_faults(tag: object, i: int, family: Family | None, where: str) -> Itera
         if key not in tag:
             yield _error(f"{here}: `{key}` is missing; id, size, p and q are needed", *ids)
     if "id" in tag and not whole:
-        yield _error(f"{here} id: {tag_id!r}; a whole number is needed")
+        yield _error(f"{here} id: {shown(tag_id)}; a whole number is needed")
     elif whole and family is not None and not 0 <= ids[0] < family.ids:
         yield _error(f"{here}: not an id of {family.name}; 0 to {family.ids - 1} are", *ids)
-    if "size" in tag and _size(tag) is None:
-        yield _error(f"{here} size: {tag['size']!r}; a positive number of metres is needed", *ids)
-    for key, check in (("p", _position), ("q", unit_quaternion)):
+    checks: tuple[tuple[str, Callable[[object, str], object]], ...] = (
+        ("size", side), ("p", position), ("q", unit_quaternion),
+    )  # fmt: skip
+    for key, check in checks:
         if key in tag:
             try:
                 check(tag[key], f"{here} {key}")
@@ -137,15 +159,6 @@ def _tag_faults(tag: object, i: int, family: Family | None, where: str) -> Itera
         yield from (_error(f.text, *ids) for f in _what_load_says(sound, here))
 
 
-def _position(value: object, where: str) -> list[float]:
-    return numbers(value, 3, where)
-
-
-def _size(tag: dict[str, Any]) -> float | None:
-    size = tag.get("size")
-    return float(size) if is_number(size) and size > 0.0 else None
-
-
 def _duplicates(entries: list[Any], where: str) -> Iterator[Finding]:
     places: dict[int, list[int]] = defaultdict(list)
     for i, tag in enumerate(entries):
@@ -153,8 +166,8 @@ def _duplicates(entries: list[Any], where: str) -> Iterator[Finding]:
             places[int(tag["id"])].append(i)
     for tag_id, rows in places.items():
         if len(rows) > 1:
-            listed = " and ".join(f"tags[{i}]" for i in rows)
-            text = f"{where}: tag {tag_id} stands {len(rows)} times ({listed})"
+            listed = " and ".join(f"tags[{i}]" for i in rows[:_MOST_LISTED])
+            text = f"{where}: tag {shown(tag_id)} stands {len(rows)} times ({listed})"
             yield _error(f"{text}; an id may lie in one place only", tag_id)
 
 
@@ -162,10 +175,13 @@ def _sane_tags(entries: list[Any]) -> list[dict[str, Any]]:
     """The entries whose id, size, p and q can be used, whatever else is wrong with them."""
 
     def sane(tag: Any) -> bool:
-        if not isinstance(tag, dict) or not isinstance(tag.get("id"), int) or _size(tag) is None:
+        if not isinstance(tag, dict) or not isinstance(tag.get("id"), int):
+            return False
+        if not 0 <= tag["id"] < _LARGEST_ID:
             return False
         try:
-            return bool(_position(tag.get("p"), "") and unit_quaternion(tag.get("q"), ""))
+            side(tag.get("size"), "")
+            return bool(position(tag.get("p"), "") and unit_quaternion(tag.get("q"), ""))
         except MapError:
             return False
 
@@ -222,8 +238,12 @@ def _mixed_up_sizes(
     for tag in tags:
         members[round(float(tag["size"]), 6)].append(int(tag["id"]))
     ratio = _ratio(data, family)
-    for small, large in combinations(sorted(members), 2):
-        if abs(large / small / ratio - 1.0) < _FACTOR_SLACK:
+    sizes = np.array(sorted(members))
+    first = np.searchsorted(sizes, sizes * ratio * (1.0 - _FACTOR_SLACK), side="right")
+    last = np.searchsorted(sizes, sizes * ratio * (1.0 + _FACTOR_SLACK), side="left")
+    for row in range(len(sizes)):
+        for large in sizes[max(first[row], row + 1) : last[row]].tolist()[:_MOST_LISTED]:
+            small = float(sizes[row])
             few = min(small, large, key=lambda s: len(members[s]))
             text = (
                 f"{where}: sizes {small:g} m ({len(members[small])} tags) and {large:g} m"

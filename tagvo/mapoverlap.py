@@ -6,6 +6,8 @@ import numpy as np
 
 from tagvo.geometry import Array, IntArray
 
+_AT_ONCE = 1_000_000  # pairs: 0.1 GB of intermediates
+_ENOUGH = 100_000  # pairs that overlap: nobody reads on
 _SAME_PLANE_DEG = 5.0  # tags whose faces differ by more do not lie on one surface
 _SAME_PLANE_M = 0.005  # ... nor those this far apart along the face, beyond what laying explains
 
@@ -31,9 +33,24 @@ def pairs_in_one_plane(s: Squares) -> tuple[IntArray, IntArray]:
     x = s.p_WT[order, axis]
     last = np.searchsorted(x, x + radius[order] + radius.max(), side="right")
     count = last - np.arange(len(x)) - 1
-    first = np.repeat(np.arange(len(x)), count)
-    offset = np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)
-    i, j = order[first], order[first + offset + 1]
+    batch = np.cumsum(count) // _AT_ONCE  # so many pairs are looked at in one go
+    found_i, found_j, found = [], [], 0
+    for rows in np.split(np.arange(len(x)), np.flatnonzero(np.diff(batch)) + 1):
+        first = np.repeat(rows, count[rows])
+        offset = np.arange(len(first)) - np.repeat(
+            np.cumsum(count[rows]) - count[rows], count[rows]
+        )
+        i, j = _in_one_plane(s, radius, order[first], order[first + offset + 1])
+        found_i.append(i)
+        found_j.append(j)
+        found += len(i)
+        if found > _ENOUGH:
+            break
+    return np.concatenate(found_i), np.concatenate(found_j)
+
+
+def _in_one_plane(s: Squares, radius: Array, i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
+    """Those of the pairs i, j (k,) that are near and face the same way on one surface."""
     d = s.p_WT[j] - s.p_WT[i]
     near = np.einsum("ki,ki->k", d, d) < np.square(radius[i] + radius[j])
     i, j, d = i[near], j[near], d[near]

@@ -9,12 +9,14 @@ import numpy as np
 import yaml
 
 from tagvo import geometry as geo
-from tagvo.errors import MapError, choose_one_of
+from tagvo.errors import MapError, choose_one_of, shown
 from tagvo.families import Family, family_named
 from tagvo.geometry import Array, IntArray
 from tagvo.textfile import finite_numbers, is_number, read_yaml, write_atomic
 
 SIZE_KINDS = ("border", "total")
+SIDES_M = (1e-3, 10.0)  # no printer makes less, no hall has more
+LARGEST_PLACE_M = 1e4  # of a tag from the map's origin: floats keep 1e-12 of it
 _SIGMA_KEYS = ("xy", "z", "yaw_deg", "tilt_deg")
 _SIGMA_DEFAULT = (0.002, 0.001, float(np.radians(0.3)), float(np.radians(0.1)))
 _UNIT_CORNERS = 0.5 * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]], dtype=float)
@@ -137,7 +139,7 @@ def map_from_dict(data: dict[str, Any], where: str) -> TagMap:
         raise MapError(choose_one_of(f"{where} size_kind", kind, SIZE_KINDS))
     bits = data.get("border_bits", 1)
     if isinstance(bits, bool) or not isinstance(bits, int) or not 1 <= bits <= 4:
-        raise MapError(f"{where} border_bits: {bits!r}; a whole number from 1 to 4 is needed")
+        raise MapError(f"{where} border_bits: {shown(bits)}; a whole number from 1 to 4 is needed")
     default = _sigma(data.get("sigma"), _SIGMA_DEFAULT, f"{where} sigma")
     tags = data.get("tags")
     if not isinstance(tags, list) or not tags:
@@ -171,13 +173,33 @@ def unit_quaternion(value: object, where: str) -> list[float]:
     q = numbers(value, 4, where)
     norm = float(np.linalg.norm(q))
     if abs(norm - 1.0) > 1e-3:
-        raise MapError(f"{where}: {value!r} is no rotation (norm {norm:.4g}); unit to 1e-3, wxyz")
+        raise MapError(
+            f"{where}: {shown(value)} is no rotation (norm {norm:.4g}); unit to 1e-3, wxyz"
+        )
     return q
+
+
+def position(value: object, where: str) -> list[float]:
+    """x, y, z [m] within LARGEST_PLACE_M; MapError otherwise."""
+    p = numbers(value, 3, where)
+    if max(map(abs, p)) > LARGEST_PLACE_M:
+        raise MapError(f"{where}: {shown(value)}; at most {LARGEST_PLACE_M:g} m from the origin")
+    return p
+
+
+def side(value: object, where: str) -> float:
+    """A tag's side [m] within SIDES_M; MapError otherwise."""
+    low, high = SIDES_M
+    if not is_number(value) or value <= 0.0:
+        raise MapError(f"{where}: {shown(value)}; a positive number of metres is needed")
+    if not low <= value <= high:
+        raise MapError(f"{where}: {shown(value)} m; {low:g} to {high:g} m is a tag's side")
+    return float(value)
 
 
 def _positive(value: object, where: str) -> float:
     if not is_number(value) or value <= 0.0:
-        raise MapError(f"{where}: {value!r}; a positive number of metres is needed")
+        raise MapError(f"{where}: {shown(value)}; a positive number of metres is needed")
     return float(value)
 
 
@@ -186,7 +208,7 @@ def _tag(
 ) -> tuple[int, float, list[float], list[float], tuple[float, ...]]:
     here = f"{where} tags[{i}]"
     if not isinstance(tag, dict):
-        raise MapError(f"{here}: {tag!r}; a mapping with id, size, p and q is needed")
+        raise MapError(f"{here}: {shown(tag)}; a mapping with id, size, p and q is needed")
     for key in tag:
         if key not in ("id", "size", "p", "q", "sigma"):
             raise MapError(choose_one_of(here, key, ("id", "size", "p", "q", "sigma")))
@@ -195,14 +217,14 @@ def _tag(
             raise MapError(f"{here}: `{key}` is missing; id, size, p and q are needed")
     tag_id = tag["id"]
     if isinstance(tag_id, bool) or not isinstance(tag_id, int):
-        raise MapError(f"{here} id: {tag_id!r}; a whole number is needed")
-    here = f"{where} tag {tag_id}"
+        raise MapError(f"{here} id: {shown(tag_id)}; a whole number is needed")
+    here = f"{where} tag {shown(tag_id)}"
     if not 0 <= tag_id < family.ids:
         raise MapError(f"{here}: not an id of {family.name}; 0 to {family.ids - 1} are")
     return (
         tag_id,
-        _positive(tag["size"], f"{here} size"),
-        numbers(tag["p"], 3, f"{here} p"),
+        side(tag["size"], f"{here} size"),
+        position(tag["p"], f"{here} p"),
         unit_quaternion(tag["q"], f"{here} q"),
         _sigma(tag.get("sigma"), default, f"{here} sigma"),
     )
@@ -226,13 +248,15 @@ def _sigma(
     if value is None:
         return default
     if not isinstance(value, dict):
-        raise MapError(f"{where}: {value!r}; a mapping with {', '.join(_SIGMA_KEYS)} is needed")
+        raise MapError(
+            f"{where}: {shown(value)}; a mapping with {', '.join(_SIGMA_KEYS)} is needed"
+        )
     out = list(default)
     for key, number in value.items():
         if key not in _SIGMA_KEYS:
             raise MapError(choose_one_of(where, key, _SIGMA_KEYS))
         if not is_number(number) or number < 0.0:
-            raise MapError(f"{where} {key}: {number!r}; a number of at least 0 is needed")
+            raise MapError(f"{where} {key}: {shown(number)}; a number of at least 0 is needed")
         scale = np.pi / 180.0 if key.endswith("_deg") else 1.0
         out[_SIGMA_KEYS.index(key)] = float(number) * scale
     return (out[0], out[1], out[2], out[3])
@@ -242,7 +266,7 @@ def _gravity(value: object, where: str) -> Gravity | None:
     if value is None:
         return None
     if not isinstance(value, dict) or set(value) - {"dir", "sigma_deg"} or "dir" not in value:
-        raise MapError(f"{where}: {value!r}; {{dir: [x, y, z], sigma_deg: 1}} is needed")
+        raise MapError(f"{where}: {shown(value)}; {{dir: [x, y, z], sigma_deg: 1}} is needed")
     d = np.array(numbers(value["dir"], 3, f"{where} dir"))
     norm = float(np.linalg.norm(d))
     if norm < 1e-6:

@@ -14,6 +14,7 @@ from vio.arms import Estimator, Output
 from vio.evaluate.records import Trajectory
 from vio.records import Ground, ImuSample
 from vio.stopwatch import Stopwatch
+from vio.unmapped import UnmappedTags
 
 Event = ImuSample | Frame | Ground
 
@@ -34,8 +35,8 @@ class RunResult:
 
     outputs by estimator; frames, with_pose, imu: counts; reasons: frames without a pose by cause;
     counters: dropped detections and flags of poses by cause; tags_t_ns, tags_count: tags used in
-    each frame; interrupted: stopped by the user; keep: gather outputs and tags used, false: counts
-    alone, so that a run may last for ever.
+    each frame; unmapped: tags seen and of no use; interrupted: stopped by the user; keep: gather
+    outputs and tags used, false: counts alone, so that a run may last for ever.
     """
 
     outputs: dict[str, list[Output]] = field(default_factory=dict)
@@ -46,6 +47,7 @@ class RunResult:
     counters: Counter[str] = field(default_factory=Counter)
     tags_t_ns: list[int] = field(default_factory=list)
     tags_count: list[int] = field(default_factory=list)
+    unmapped: UnmappedTags = field(default_factory=UnmappedTags)
     interrupted: bool = False
     keep: bool = True
 
@@ -89,6 +91,7 @@ def run(
             watch.start()
             trace = vo.trace(event, prior(event.t_ns))
             _count(result, trace)
+            result.unmapped.take(trace.detections, trace.counts, vo.tag_map)
             for estimator in estimators:
                 said = estimator.pose(event, trace.pose, trace.observations)
                 _keep(result, estimator, said, sinks)

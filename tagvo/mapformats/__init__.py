@@ -1,6 +1,7 @@
 """Other people's tag maps: one file a format, and the table by which all of them are used."""
 
-import json
+import re
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from tagvo.mapformats import (
 )
 from tagvo.mapformats.common import Content, Format, Imported, ReadOptions, losses_of
 from tagvo.tagmap import TagMap
-from tagvo.textfile import parse_yaml, read_text, write_atomic
+from tagvo.textfile import parse_json, parse_yaml, read_text, write_atomic
 
 __all__ = ["FORMATS", "Format", "Imported", "guess_format", "read_map_file", "write_map_file"]
 
@@ -87,19 +88,25 @@ def guess_format(content: Content, where: str) -> str:
 
 
 def _parse(text: str, where: str) -> Content:
-    """A mapping (JSON or YAML), or the words of each line where the lines begin with numbers."""
-    lines = (line.split("#")[0].split() for line in text.splitlines())
-    rows = [words for words in lines if words]
+    """A mapping (JSON or YAML), or the words of each line where the lines begin with numbers.
+
+    A list of tags is a mapping with nothing but them; a CSV's header is its first row.
+    """
+    lines = (line.split("#")[0] for line in text.splitlines())
+    if re.match(r"\s*\"?id\"?\s*,", text, re.IGNORECASE):
+        return [line.replace('"', "").strip().split(",") for line in lines if line.strip()]
+    rows = [words for words in (line.split() for line in lines) if words]
     if rows and all(_is_number(words[0]) for words in rows):
         return rows
     value: Any = None
-    if text.lstrip().startswith("{"):
-        try:
-            value = json.loads(text)
-        except (ValueError, RecursionError):
-            value = None  # YAML's flow style looks alike; its parser names the fault
+    if text.lstrip()[:1] in ("{", "["):
+        with suppress(MapError):  # YAML's flow style looks alike; its parser names the fault
+            value = parse_json(text, where, MapError)
     if value is None:
         value = parse_yaml(text, where, MapError)
+    if isinstance(value, list) and value and all(isinstance(tag, dict) for tag in value):
+        posed = any("pose" in tag for tag in value)
+        return {"tags": value, "field": {}} if posed else {"tags": value}
     if not isinstance(value, dict):
         kind = "empty" if value is None else f"a {type(value).__name__}"
         raise MapError(f"{where}: the file is {kind}; a mapping or a table of numbers is needed")

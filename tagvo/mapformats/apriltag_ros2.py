@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from tagvo.errors import MapError
+from tagvo.errors import MapError, shown
 from tagvo.families import Family, family_named
 from tagvo.mapformats.common import Content, Exported, Format, Imported, ReadOptions
 from tagvo.tagmap import TagMap, map_from_dict, map_to_dict
@@ -57,7 +57,7 @@ def _read(content: Content, where: str, options: ReadOptions) -> Imported:
 def _sizes(parameters: dict[str, Any], where: str) -> tuple[dict[int, Any], Any]:
     tag = parameters.get("tag") or {}
     if not isinstance(tag, dict):
-        raise MapError(f"{where} tag: {tag!r}; a mapping with ids and sizes is needed")
+        raise MapError(f"{where} tag: {shown(tag)}; a mapping with ids and sizes is needed")
     ids, sizes = tag.get("ids") or [], tag.get("sizes")
     default = parameters.get("size")
     if sizes is None:

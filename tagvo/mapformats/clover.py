@@ -1,4 +1,7 @@
-"""Clover's `map.txt`: `id length x y z yaw pitch roll`, a line a tag; its tag axes are ours."""
+"""Clover's `map.txt`: `id length x y z yaw pitch roll`, a line a tag; its tag axes are ours.
+
+A row may end after y: what is left out is 0.
+"""
 
 import numpy as np
 
@@ -18,16 +21,19 @@ from tagvo.tagmap import TagMap
 
 TITLE = "Clover map.txt"
 _COLUMNS = ("id", "length", "x", "y", "z", "yaw", "pitch", "roll")
+_LEAST = 4  # id length x y
 
 
 def _recognises(content: Content) -> bool:
-    return isinstance(content, list) and all(len(words) == len(_COLUMNS) for words in content)
+    return isinstance(content, list) and all(
+        _LEAST <= len(words) <= len(_COLUMNS) for words in content
+    )
 
 
 def _read(content: Content, where: str, options: ReadOptions) -> Imported:
     tags = []
     for tag_id, length, x, y, z, yaw, pitch, roll in (
-        row[: len(_COLUMNS)] for row in table_rows(content, _COLUMNS, where)
+        row[: len(_COLUMNS)] for row in table_rows(content, _COLUMNS, where, _LEAST)
     ):
         q_WT = geo.quat_from_matrix(geo.matrix_from_rpy(roll, pitch, yaw))
         tags.append({"id": int(tag_id), "size": length, "p": [x, y, z], "q": q_WT.tolist()})

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
-from tagvo.errors import MapError
+from tagvo.errors import MapError, shown
 from tagvo.tagmap import TagMap, map_from_dict, map_to_dict
 from tagvo.textfile import is_number
 
@@ -126,10 +126,10 @@ def field(value: object, path: Sequence[str | int], where: str) -> Any:
 def listed(value: object, where: str) -> list[dict[str, Any]]:
     """A list of mappings; MapError otherwise."""
     if not isinstance(value, list):
-        raise MapError(f"{where}: {value!r}; a list is needed")
+        raise MapError(f"{where}: {shown(value)}; a list is needed")
     for i, entry in enumerate(value):
         if not isinstance(entry, dict):
-            raise MapError(f"{where}[{i}]: {entry!r}; a mapping is needed")
+            raise MapError(f"{where}[{i}]: {shown(entry)}; a mapping is needed")
     return value
 
 
@@ -138,8 +138,14 @@ def xyz(value: object, where: str) -> list[Any]:
     return [field(value, [key], where) for key in "xyz"]
 
 
-def table_rows(content: Content, columns: Sequence[str], where: str) -> list[list[float]]:
-    """Numbers of a text table, at least one a column; MapError names the first bad line."""
+def table_rows(
+    content: Content, columns: Sequence[str], where: str, least: int | None = None
+) -> list[list[float]]:
+    """Numbers of a text table, at least one a column, or at least so many, the rest then 0.
+
+    MapError names the first bad line.
+    """
+    least = len(columns) if least is None else least
     if not isinstance(content, list):
         raise MapError(f"{where}: a mapping; lines of `{' '.join(columns)}` are needed")
     out = []
@@ -148,9 +154,9 @@ def table_rows(content: Content, columns: Sequence[str], where: str) -> list[lis
             row = [float(word) for word in words]
         except ValueError:
             row = []
-        sound = len(row) >= len(columns) and all(map(is_number, row))
+        sound = len(row) >= least and all(map(is_number, row))
         if not sound or not row[0].is_integer():
             text = " ".join(words)
-            raise MapError(f"{where} row {i + 1}: {text!r}; `{' '.join(columns)}` is needed")
-        out.append(row)
+            raise MapError(f"{where} row {i + 1}: {shown(text)}; `{' '.join(columns)}` is needed")
+        out.append(row + [0.0] * (len(columns) - len(row)))
     return out

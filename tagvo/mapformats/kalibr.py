@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 
 from tagvo import geometry as geo
-from tagvo.errors import MapError
+from tagvo.errors import MapError, shown
 from tagvo.geometry import Array
 from tagvo.mapformats.common import (
     Content,
@@ -37,7 +37,7 @@ def _read(content: Content, where: str, options: ReadOptions) -> Imported:
     data = need_mapping(content, where, TITLE)
     kind = data.get("target_type", "aprilgrid")
     if kind != "aprilgrid":
-        raise MapError(f"{where} target_type: {kind!r} has no tags; aprilgrid is read")
+        raise MapError(f"{where} target_type: {shown(kind)} has no tags; aprilgrid is read")
     columns, rows = (_count(data, key, where) for key in ("tagCols", "tagRows"))
     size, spacing = (_positive(data, key, where) for key in ("tagSize", "tagSpacing"))
     p_WT = _grid(columns, rows, size, spacing)
@@ -59,7 +59,7 @@ def _grid(columns: int, rows: int, size: float, spacing: float) -> Array:
 def _count(data: dict[str, object], key: str, where: str) -> int:
     value = field(data, [key], where)
     if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 1000:
-        raise MapError(f"{where} {key}: {value!r}; a whole number from 1 to 1000 is needed")
+        raise MapError(f"{where} {key}: {shown(value)}; a whole number from 1 to 1000 is needed")
     return value
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.errors import MapError
+from tagvo.errors import MapError, shown
 from tagvo.families import FAMILIES
 from tagvo.geometry import Array
 from tagvo.mapformats.common import (
@@ -43,7 +43,9 @@ def _recognises(content: Content) -> bool:
 def _family_name(theirs: object, where: str) -> str:
     code = re.search(r"\d+h\d+", str(theirs))
     if code is None or code.group() not in _BY_CODE:
-        raise MapError(f"{where}: {theirs!r}; a family such as apriltag3_36h11_classic is needed")
+        raise MapError(
+            f"{where}: {shown(theirs)}; a family such as apriltag3_36h11_classic is needed"
+        )
     return _BY_CODE[code.group()]
 
 

@@ -21,7 +21,10 @@ def _recognises(content: Content) -> bool:
 
 
 def _read(content: Content, where: str, options: ReadOptions) -> Imported:
-    tag_map = map_from_dict(need_mapping(content, where, "a tagmap.yaml"), where)
+    data = need_mapping(content, where, "a tagmap.yaml")
+    if "family" not in data and options.family is not None:
+        data = {"family": options.family, **data}  # a list of tags names none
+    tag_map = map_from_dict(data, where)
     asked = options.family
     if asked is not None and family_named(asked, "--family").name != tag_map.family.name:
         raise MapError(f"{where}: the file says {tag_map.family.name}, --family says {asked}")

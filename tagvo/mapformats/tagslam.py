@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from tagvo import geometry as geo
-from tagvo.errors import MapError, choose_one_of
+from tagvo.errors import MapError, choose_one_of, shown
 from tagvo.geometry import Array
 from tagvo.mapformats.common import (
     Content,
@@ -65,7 +65,7 @@ def _bodies(data: dict[str, Any], where: str) -> dict[str, dict[str, Any]]:
     for i, entry in enumerate(listed(field(data, ["bodies"], where), f"{where} bodies")):
         for name, body in entry.items():
             if not isinstance(body, dict):
-                raise MapError(f"{where} bodies[{i}] {name}: {body!r}; a mapping is needed")
+                raise MapError(f"{where} bodies[{i}] {name}: {shown(body)}; a mapping is needed")
             found[str(name)] = body
     return found
 

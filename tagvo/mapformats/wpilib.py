@@ -1,8 +1,10 @@
-"""WPILib's field layouts (to 2026, and from 2027): poses with the x axis out of the tag, no size.
+"""WPILib's field layouts (JSON and CSV to 2026, JSON from 2027): x out of the tag, no size.
 
 In WPILib's tag frame x points out of the face, y to the right of who looks at it and z up; so our
 x (right) is their y, our y (up) their z, our z (out) their x. The layouts name no family: FRC
 prints 36h11. PhotonVision's documentation (coordinate systems) says the same of the axes.
+A CSV has `ID,X,Y,Z,Z-Rotation[,Y-Rotation]` in inches and degrees, as convert_apriltag_layouts.py
+reads it: yaw about z, then pitch about y, whatever the sixth column is called.
 """
 
 import json
@@ -24,12 +26,15 @@ from tagvo.mapformats.common import (
     field,
     listed,
     need_mapping,
+    table_rows,
     tag_dicts,
     xyz,
 )
 from tagvo.tagmap import TagMap, unit_quaternion
 
 R_FT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # T in FRC's tag frame F
+_INCH = 0.0254  # [m]
+_COLUMNS = ("ID", "X", "Y", "Z", "Z-Rotation", "Y-Rotation")
 _QUAT = ("W", "X", "Y", "Z")
 
 
@@ -40,13 +45,34 @@ def _turned(q_WF: list[float], R: Array) -> list[float]:
 
 def _recogniser(tags: str, extent: str) -> Callable[[Content], bool]:
     def recognises(content: Content) -> bool:
-        return isinstance(content, dict) and {tags, extent} <= set(content)
+        if isinstance(content, list):
+            return tags == "tags" and _is_csv(content)
+        return tags in content and (extent in content or tags != "tags")
 
     return recognises
 
 
+def _is_csv(rows: list[list[str]]) -> bool:
+    return bool(rows) and [word.strip().lower() for word in rows[0][:4]] == ["id", "x", "y", "z"]
+
+
+def _read_csv(rows: list[list[str]], where: str, options: ReadOptions) -> Imported:
+    tags = []
+    for tag_id, x, y, z, yaw, pitch in (
+        row[: len(_COLUMNS)] for row in table_rows(rows[1:], _COLUMNS, where, len(_COLUMNS) - 1)
+    ):
+        R_WF = geo.matrix_from_rpy(0.0, *np.radians([pitch, yaw]))
+        p_WT = [_INCH * v for v in (x, y, z)]
+        q_WT = _turned(geo.quat_from_matrix(R_WF).tolist(), R_FT)
+        tags.append({"id": int(tag_id), "p": p_WT, "q": q_WT})
+    family, notes = family_or("tag36h11", options, "what FRC prints")
+    return Imported(build_map(tags, family, where, options), notes)
+
+
 def _reader(title: str, tags_key: str) -> Callable[[Content, str, ReadOptions], Imported]:
     def read(content: Content, where: str, options: ReadOptions) -> Imported:
+        if isinstance(content, list) and _is_csv(content):
+            return _read_csv(content, where, options)
         data = need_mapping(content, where, title)
         tags = []
         for i, tag in enumerate(listed(field(data, [tags_key], where), f"{where} {tags_key}")):

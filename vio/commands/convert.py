@@ -20,15 +20,21 @@ Out = Annotated[
 ]
 Topics = Annotated[
     list[str] | None,
-    typer.Option("--topic", metavar="WHAT=NAME", help="Of a bag: imu, image, truth, camera or"
-                 " detections; none leaves it out. Repeat."),
+    typer.Option("--topic", metavar="WHAT=NAME", help="Of a bag: imu, accel (where the gyro"
+                 " has a topic of its own), image, truth, camera or detections; none leaves it"
+                 " out. Repeat."),
 ]  # fmt: skip
 Map = Annotated[
     Path | None, typer.Option("--map", metavar="FILE", help="The tag map of the flight.")
 ]
 Camera = Annotated[
     Path | None,
-    typer.Option("--camera", metavar="FILE", help="Calibration of the camera: Kalibr, EuRoC, ROS."),
+    typer.Option(
+        "--camera",
+        metavar="FILE[:NAME]",
+        help="Calibration of the camera: Kalibr,"
+        " EuRoC, ROS, OpenCV, PhotonVision and others; NAME of one of several, as cam1.",
+    ),
 ]
 Noise = Annotated[
     Path | None, typer.Option("--imu-noise", metavar="FILE", help="Kalibr's imu.yaml.")
@@ -45,6 +51,11 @@ Stamps = Annotated[
     Path | None,
     typer.Option("--stamps", metavar="FILE", help="Of a video: CSV with timestamp [ns] a frame."),
 ]
+Rectified = Annotated[
+    str,
+    typer.Option("--rectified", metavar="yes|no|auto", help="Whether a bag's pixels are of"
+                 " rectified images (P of camera_info, no distortion); auto: by the topic."),
+]  # fmt: skip
 Shift = Annotated[
     str, typer.Option("--shift", metavar="X,Y,Z", help="Added to the truth's positions [m].")
 ]
@@ -60,6 +71,7 @@ def command(
     imu_csv: ImuCsv = None,
     truth_csv: TruthCsv = None,
     stamps: Stamps = None,
+    rectified: Rectified = "auto",
     shift: Shift = "0,0,0",
     replace: opt.ReplaceLog = False,
 ) -> None:
@@ -81,18 +93,20 @@ def command(
 
     tagvio convert log --out log.mcap
     """
-    from vio.commands.convert_write import write_bag, write_flight_log, write_truth
+    from vio.commands.convert_write import read_rig, write_bag, write_flight_log, write_truth
     from vio.errors import LogError
     from vio.sources.foreign.open import read_foreign, shifted, together
     from vio.sources.tally import Tally
 
-    moved, named = _numbers(shift), _topics(topic or [])
+    moved, named, flat = _numbers(shift), _topics(topic or []), _yes_or_no(rectified)
+    if camera is not None:
+        named["camera"] = "none"  # what is given wins, whatever the bag says
     if any(out.resolve() == path.resolve() for path in files):
         raise LogError(f"--out {out}: is what is to be converted; another name is needed")
     kind = out.suffix.lower() if out.suffix.lower() in (".mcap", ".tum") else ""
     tally = Tally()
     with opt.waiting("reading"):
-        parts = [(path, read_foreign(path, tally, named, stamps)) for path in files]
+        parts = [(path, read_foreign(path, tally, named, stamps, flat)) for path in files]
         found = shifted(together([*parts, *_tables(imu_csv, truth_csv, tally)]), moved)
     for note in found.notes:
         typer.echo(note, err=True)
@@ -103,13 +117,15 @@ def command(
         elif kind == ".mcap":
             said = write_bag(out, found, step, stop)
         else:
-            rig = (tag_map, camera, noise)
+            rig = read_rig(found, (tag_map, camera, noise), tally)
             said = write_flight_log(out, found, rig, step, stop, replace=replace)
     for text in tally.warnings:
         typer.echo(f"warning: {text}", err=True)
-    typer.echo(f"{out}: {said}")
+    typer.echo(f"{out}: {said.text}")
     if stop():
         raise typer.Exit(130)
+    if total and not said.frames and kind != ".tum":
+        raise LogError(f"{out}: not one of {total} images could be read; {said.text}")
 
 
 def _tables(
@@ -140,6 +156,13 @@ def _topics(assignments: list[str]) -> dict[str, str]:
             )
         out[what] = name
     return out
+
+
+def _yes_or_no(text: str) -> bool | None:
+    known = {"yes": True, "no": False, "auto": None}
+    if text not in known:
+        raise typer.BadParameter(f"{text!r}; yes, no or auto is needed", param_hint="--rectified")
+    return known[text]
 
 
 def _numbers(text: str) -> list[float]:

@@ -1,6 +1,7 @@
 """Writes what was read from another system: a flight log, a ROS 2 bag, a trajectory."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from heapq import merge
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,28 +12,69 @@ from vio.errors import LogError
 from vio.sources.foreign.records import Foreign
 
 if TYPE_CHECKING:
+    from tagvo.camera import Camera
     from tagvo.records import Frame
+    from tagvo.tagmap import TagMap
+    from vio.records import ImuNoise
+    from vio.sources.tally import Tally
 
 Step = Callable[[], None]
 Stop = Callable[[], bool]
 Row = tuple[int, int, Any]  # time, what it is, the thing
 _IMU, _TRUTH, _FRAME = 0, 1, 2
-Rig = tuple[Path | None, Path | None, Path | None]  # files of map, camera, IMU noise
+Files = tuple[Path | None, Path | None, Path | None]  # of map, camera, IMU noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """What a flight log holds beside its rows; None where nobody knows."""
+
+    tag_map: "TagMap | None"
+    camera: "Camera | None"
+    noise: "ImuNoise | None"
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What was written: in words, and how many frames."""
+
+    text: str
+    frames: int
+
+
+def read_rig(found: Foreign, files: Files, tally: "Tally") -> Rig:
+    """The rig of the files named, else what the log itself says; doubts go to the tally."""
+    from tagvo.camera_io import load_camera
+    from tagvo.mapformats import read_map_file
+    from vio.sources.logfiles import read_imu_noise
+
+    map_file, camera_file, noise_file = files
+    camera = found.camera
+    if camera_file is not None:
+        camera = load_camera(camera_file, topic=found.image_topic)
+    for text in () if camera is None else camera.notes:
+        tally.note(text)
+    if camera is not None and found.rectified and camera.coeffs.any():
+        tally.note(f"{camera.source}: its distortion is of raw images, and these are taken for"
+                   " rectified; without --camera the P of camera_info is taken; --rectified no"
+                   " says that they are raw")  # fmt: skip
+    imported = None if map_file is None else read_map_file(map_file)
+    for text in () if imported is None else imported.notes:
+        tally.note(f"{map_file}: {text}")
+    return Rig(
+        None if imported is None else imported.tag_map,
+        camera,
+        None if noise_file is None else read_imu_noise(noise_file, "imu0"),
+    )
 
 
 def write_flight_log(
     out: Path, found: Foreign, rig: Rig, step: Step, stop: Stop, *, replace: bool = False
-) -> str:
+) -> Written:
     """A flight log of what was found; what it holds and what `tagvio run` still lacks, in words."""
-    from tagvo.camera_io import load_camera
-    from tagvo.tagmap import load_map
     from vio.sinks.log import LogWriter
-    from vio.sources.logfiles import read_imu_noise
 
-    map_file, camera_file, noise_file = rig
-    tag_map = None if map_file is None else load_map(map_file)
-    camera = found.camera if camera_file is None else load_camera(camera_file)
-    noise = None if noise_file is None else read_imu_noise(noise_file, "imu0")
+    tag_map, camera, noise = rig.tag_map, rig.camera, rig.noise
     done = 0
     with LogWriter(out, replace=replace) as writer:
         writer.setup(tag_map, camera, noise)
@@ -60,10 +102,11 @@ def write_flight_log(
         if has is None
     ]
     words = _held(found, done)
-    return f"{words}; for tagvio run it lacks {', '.join(lacks)}" if lacks else words
+    text = f"{words}; for tagvio run it lacks {', '.join(lacks)}" if lacks else words
+    return Written(text, done)
 
 
-def write_bag(out: Path, found: Foreign, step: Step, stop: Stop) -> str:
+def write_bag(out: Path, found: Foreign, step: Step, stop: Stop) -> Written:
     """A ROS 2 bag (MCAP), in the order in which things arrived."""
     from vio.sinks.bag import BagWriter
 
@@ -80,17 +123,17 @@ def write_bag(out: Path, found: Foreign, step: Step, stop: Stop) -> str:
                 bag.frame(item, found.camera)
                 step()
                 done += 1
-    return _held(found, done)
+    return Written(_held(found, done), done)
 
 
-def write_truth(out: Path, found: Foreign) -> str:
+def write_truth(out: Path, found: Foreign) -> Written:
     """The truth as a TUM trajectory; LogError where there is none."""
     from vio.sinks.tum import write_tum
 
     if found.truth is None:
         raise LogError(f"{out}: a .tum holds the truth, and none was found")
     write_tum(out, found.truth.t_ns, found.truth.p_WI, found.truth.q_WI)
-    return f"{len(found.truth)} poses"
+    return Written(f"{len(found.truth)} poses", 0)
 
 
 def _frames(found: Foreign, stop: Stop) -> "Iterator[Frame]":

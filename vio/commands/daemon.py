@@ -32,7 +32,9 @@ def command(
     start_log()
     loaded = load_config(config, assignments or ())
     if check:
-        fly.check(loaded, config)
+        parts, _, open_it = fly.check(loaded, config)
+        for text in (*parts.camera.notes, *fly.tags_in_sight(parts, open_it)):
+            typer.echo(f"warning: {text}", err=True)
         typer.echo(f"{config}: all is there; nothing was sent")
         return
     ended = threading.Event()

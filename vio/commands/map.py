@@ -64,18 +64,19 @@ FamilyOption = Annotated[
 def check(path: MapFile) -> None:
     """List every fault of a map, and its size classes.
 
-    Errors: ids twice or outside the family, sizes and rotations that are none, borders that
-    overlap. Warnings: printed margins that overlap, sizes that differ by total/border.
+    Errors: ids twice or outside the family, sizes (1 mm to 10 m), places (to 10 km) and rotations
+    that are none, borders that overlap. Warnings: printed margins that overlap, sizes that differ
+    by total/border. Many findings are summed up in 20 lines.
     """
     from tagvo.errors import MapError
-    from tagvo.mapcheck import check_map_data
+    from tagvo.mapcheck import check_map_data, summed_up
     from tagvo.tagmap import map_from_dict
     from tagvo.textfile import read_yaml
 
     data = read_yaml(path, MapError)
     findings = check_map_data(data, str(path))
-    for finding in findings:
-        typer.echo(f"{finding.severity}: {finding.text}")
+    for line in summed_up(findings):
+        typer.echo(line)
     errors = sum(finding.severity == "error" for finding in findings)
     with suppress(MapError):  # overlapping tags load, a map with other errors does not
         _echo_classes(map_from_dict(data, str(path)))

@@ -12,7 +12,7 @@ from vio import estimator as flt
 from vio.arms import Estimator, VoArm, VoFirArm
 from vio.commands.options import Choice, open_all, progress, waiting
 from vio.config import Config
-from vio.errors import EvaluationError
+from vio.errors import EvaluationError, LogError
 from vio.filter_arm import VioArm, VoKfArm
 from vio.imucheck import check_imu, check_stamps
 from vio.interrupt import gently
@@ -20,6 +20,7 @@ from vio.run import RunResult, Sink, run
 from vio.setup_watch import SetupWatch
 from vio.sources.log import FlightLog
 from vio.stopwatch import Stopwatch
+from vio.unmapped import other_family
 from vio.warmup import warm_all
 
 if TYPE_CHECKING:
@@ -111,11 +112,31 @@ def replay_log(
             shown.close()
     setup.settle()
     warnings += [] if vio is None else _doubts(vio, result, str(log.path))
+    if choice.only_tags is None:
+        warnings += _strange_tags(log, result)
     said = [*log.warnings, *warnings]
+    if log.frame_count and not result.frames and not result.interrupted and not setup.certain:
+        raise LogError(f"{log.path}: not one of {log.frame_count} images could be read"
+                       f" ({'; '.join(log.warnings)})")  # fmt: skip
     refused = setup.certain and not force
     return Replayed(
         log, config, result, watch.summary(), vio, said, setup.findings, refused, book, diary
     )
+
+
+_TRIED_IMAGES = 5  # of a log without any tag: one look with each other family
+
+
+def _strange_tags(log: FlightLog, result: RunResult) -> list[str]:
+    """Tags that the map does not know, and the family that it should have named."""
+    said = result.unmapped.words(log.tag_map, result.with_pose)
+    if result.frames and not result.unmapped.found and not result.interrupted:
+        rows = range(0, log.frame_count, max(1, log.frame_count // _TRIED_IMAGES))
+        frames = (log.frames.frame(row) for row in rows[:_TRIED_IMAGES])
+        family = log.tag_map.family.name
+        other = other_family((f.image for f in frames if f is not None), family)
+        said += [] if other is None else [other]
+    return [f"{log.path}: {text}" for text in said]
 
 
 def _no_look(trace: "Trace") -> None:
@@ -237,6 +258,10 @@ def frame_counts(done: Replayed) -> dict[str, int | None]:
     return counts
 
 
+def _frames_by_id(frames: "Counter[int]") -> dict[str, int]:
+    return {str(tag_id): n for tag_id, n in sorted(frames.items())}
+
+
 def run_summary(done: Replayed) -> dict[str, Any]:
     """The content of `run.json`."""
     result, filtered = done.result, Counter[str]()
@@ -250,6 +275,8 @@ def run_summary(done: Replayed) -> dict[str, Any]:
         "states": {} if done.vio is None else dict(sorted(done.vio.states.items())),
         "timing_ms": done.timing_ms,
         "counters": dict(sorted((result.counters + Counter(done.log.counters) + filtered).items())),
+        "tags_not_on_map": _frames_by_id(result.unmapped.not_on_map),
+        "tags_seen_twice": _frames_by_id(result.unmapped.twice),
         "warnings": done.warnings,
         "setup": [finding.plain() for finding in done.setup],
         "interrupted": result.interrupted,

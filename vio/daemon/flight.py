@@ -62,7 +62,7 @@ class Flight:
         note = recorder.health if recorder is not None else lambda t_ns, health: None
         corners = config.vio.update == "corners"
         self.arm = FlightArm(core, loop_vo, corners, bridge, clock, note)
-        self._loop_vo, self._camera = loop_vo, parts.camera
+        self._loop_vo, self._camera, self._tag_map = loop_vo, parts.camera, parts.tag_map
         tracks = config.tagvo.track.mode == "on"
         foresee = self.arm.foresee if tracks else _nowhere
         vos = [
@@ -129,6 +129,8 @@ class Flight:
         belief, alarms = self.bridge.asked(_belief_figures)
         health, signs = self.arm.health, self.arm.health.signs
         figures, result = self.meter.figures(), self.result
+        for text in result.unmapped.news(self._tag_map, result.with_pose):
+            LOG.warning("%s", text)
         counts = {
             "frames": result.frames,
             "with_pose": result.with_pose,
@@ -154,6 +156,7 @@ class Flight:
             "cpu": self._cpu(rates, now_s),
             "sigma": sigma,
             "recording": None if self.recorder is None else self._recording(self.recorder),
+            "tags_not_on_map": {str(t): n for t, n in sorted(result.unmapped.not_on_map.items())},
             "counters": self._counters(),
             "line": _line(health.state.value, hz, latency, sigma),
         }

@@ -11,6 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from tagvo.detect.filters import filter_detections
+from tagvo.pipeline import TagVO
+from tagvo.records import Frame
 from vio.config import Config
 from vio.daemon.clock import FlightClock
 from vio.daemon.flight import Counters, Flight, start_status
@@ -35,6 +38,7 @@ from vio.sources.live_camera import LiveCamera
 from vio.sources.live_grab import Grabber, open_camera
 from vio.sources.live_imu import MavlinkImu
 from vio.sources.log import FlightLog
+from vio.unmapped import UnmappedTags, other_family
 from vio.warmup import warm_all
 
 LOG = logging.getLogger("vio.daemon")
@@ -87,6 +91,25 @@ def check(config: Config, path: Path) -> tuple[Parts, Bridge, Callable[[], Grabb
     open_it().close()
     check_recording(config, where)
     return parts, bridge, open_it
+
+
+def tags_in_sight(parts: Parts, open_it: Callable[[], Grabber]) -> list[str]:
+    """What is wrong with the tags that the camera sees now, in words; none: nothing is."""
+    grabber = open_it()
+    try:
+        shot = grabber.read()
+    finally:
+        grabber.close()
+    if shot is None:
+        return []
+    vo, seen = TagVO(parts.camera, parts.tag_map, parts.config.tagvo), UnmappedTags()
+    found = vo.detect(Frame(shot.t_ns, shot.image))
+    counts = filter_detections(
+        found, parts.tag_map, parts.config.tagvo.filters, parts.camera.resolution
+    )[2]
+    seen.take(found, counts, parts.tag_map)
+    other = None if len(found) else other_family([shot.image], parts.tag_map.family.name)
+    return [*seen.words(parts.tag_map, 0), *([] if other is None else [other])]
 
 
 def _recorder(parts: Parts, where: Path, bridge: Bridge) -> Recorder | None:

@@ -10,14 +10,15 @@ import numpy as np
 import yaml
 
 from tagvo.camera import Camera
-from tagvo.camera_io import load_camera
+from tagvo.camera_io import camera_to_yaml, load_camera
 from tagvo.errors import ConfigError
 from tagvo.geometry import Array
 from tagvo.tagmap import TagMap, load_map
+from tagvo.textfile import read_text
 from vio.config import Config
 from vio.errors import VioError
 from vio.records import ImuNoise
-from vio.sinks.log import LogWriter
+from vio.sinks.log import LogWriter, make_private_folder, opened_private
 from vio.sources.logfiles import read_imu_noise
 
 
@@ -44,15 +45,15 @@ def read_parts(config: Config, path: Path) -> Parts:
     camera_path = _needed(path, "calibration", d.calibration, "the camera's calibration")
     tag_map, camera = load_map(map_path), load_camera(camera_path)
     texts = {
-        "tagmap.yaml": map_path.read_text(encoding="utf-8"),
-        "camchain-imucam.yaml": camera_path.read_text(encoding="utf-8"),
+        "tagmap.yaml": read_text(map_path, ConfigError),
+        "camchain-imucam.yaml": camera_to_yaml(camera),  # the one that flies, of several too
         "config.yaml": yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False),
     }
     noise = None
     if d.imu_noise is not None:
         noise_path = where / Path(d.imu_noise).expanduser()
         noise = read_imu_noise(noise_path)
-        texts["imu.yaml"] = noise_path.read_text(encoding="utf-8")
+        texts["imu.yaml"] = read_text(noise_path, ConfigError)
     return Parts(config, tag_map, camera, noise, texts)
 
 
@@ -74,7 +75,7 @@ def check_recording(config: Config, where: Path) -> None:
     if root is None:
         return
     try:
-        root.mkdir(parents=True, exist_ok=True)
+        make_private_folder(root)
         with TemporaryFile(dir=root):
             pass
     except OSError as err:
@@ -109,7 +110,7 @@ def _names(root: Path, name: str) -> "list[Path]":
 
 
 def _write_through(path: Path, text: str) -> None:
-    with path.open("w", encoding="utf-8") as file:
+    with opened_private(path, "w") as file:
         file.write(text)
         file.flush()
         os.fsync(file.fileno())

@@ -9,6 +9,7 @@ os.environ["MAVLINK20"] = "1"  # before the import: without it pymavlink speaks 
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from tagvo.textfile import read_text
 from vio.errors import LinkError
 from vio.mavlink.fields import Outgoing
 
@@ -82,10 +83,9 @@ def read_key(path: Path) -> bytes:
     Raises LinkError where there is none.
     """
     try:
-        text = path.expanduser().read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as err:
-        reason = err.strerror if isinstance(err, OSError) else "not text"
-        raise LinkError(f"mavlink.signing.key_file {path}: cannot be read ({reason})") from None
+        text = read_text(path.expanduser(), LinkError).strip()
+    except LinkError as err:
+        raise LinkError(f"mavlink.signing.key_file {err}") from None
     if not text:
         raise LinkError(f"mavlink.signing.key_file {path}: is empty; 64 hex digits or a passphrase")
     if len(text) == 64 and all(c in "0123456789abcdefABCDEF" for c in text):

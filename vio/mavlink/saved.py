@@ -5,8 +5,11 @@ import logging
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from tagvo.textfile import write_atomic
+from tagvo.errors import shown
+from tagvo.textfile import read_json, write_atomic
+from vio.errors import LinkError
 
+_TIMESTAMPS = 1 << 48  # of MAVLink signing: 48 bits
 LOG = logging.getLogger("vio.mavlink")
 
 
@@ -22,14 +25,21 @@ class Saved:
 def load_saved(path: Path) -> Saved:
     """What a run before has left; a file that cannot be used is reported and passed over."""
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        counter, timestamp = int(data["reset_counter"]), int(data["signing_timestamp"])
-    except FileNotFoundError:
+        if not path.exists():
+            return Saved()
+        data = read_json(path, LinkError)
+        counter, timestamp = (_whole(data, key) for key in ("reset_counter", "signing_timestamp"))
+    except (LinkError, OSError) as err:
+        LOG.warning("%s; not usable: the reset counter starts anew", err)
         return Saved()
-    except (OSError, ValueError, KeyError, TypeError) as err:
-        LOG.warning("%s: not usable (%s); the reset counter starts anew", path, err)
-        return Saved()
-    return Saved(counter % 256, max(0, timestamp))
+    return Saved(counter % 256, timestamp if 0 <= timestamp < _TIMESTAMPS else 0)
+
+
+def _whole(data: dict[str, object], key: str) -> int:
+    value = data.get(key)
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise LinkError(f"{key}: {shown(value)}; a whole number is needed")
+    return value
 
 
 def save(path: Path, saved: Saved) -> bool:

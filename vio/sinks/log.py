@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TextIO
+from typing import Literal, TextIO
 
 import numpy as np
 import yaml
@@ -33,6 +33,7 @@ _HEADERS = {
     "truth_biases": "#timestamp [ns],p_x,p_y,p_z [m],q_w,q_x,q_y,q_z,v_x,v_y,v_z [m/s],"
     "bg_x,bg_y,bg_z [rad/s],ba_x,ba_y,ba_z [m/s^2]",
 }
+_FILE_MODE, _FOLDER_MODE = 0o640, 0o750  # a flight shows where and what: not for everybody
 _TAIL_BYTES = 1 << 20  # longer than any row
 _NOTES = ("scenario.yaml", "truth_rig.yaml")  # of a simulated log; nothing reads them in a run
 _LAYOUT = (  # all that a log may hold: what `replace` removes
@@ -53,16 +54,26 @@ class LogWriter:
     def __init__(self, path: Path, *, replace: bool = False) -> None:
         """path: made where missing; LogError where it holds a log, unless that is to be replaced.
 
-        replace: remove the files of the log that is there, and nothing else.
+        replace: remove the files of the log that is there, and nothing else; links that lead out of
+        it are not followed: LogError where a folder of the log is one.
         """
         self.path = path
         self._files: dict[Path, TextIO] = {}
-        there = [file for pattern in _LAYOUT for file in path.glob(pattern)]
+        there = [f for pattern in _LAYOUT for f in path.glob(pattern) if _is_own(f, path)]
         if there and not replace:
             raise LogError(f"{path}: holds a log already ({there[0].name}); name another folder")
+        self._refuse_linked_folders()
         for file in there:
             file.unlink()
-        path.mkdir(parents=True, exist_ok=True)
+        make_private_folder(path)
+
+    def _refuse_linked_folders(self) -> None:
+        """A folder of the log that is a link would take elsewhere what is written and replaced."""
+        for one in (self.path / "mav0", *self.path.glob("mav0/*"), self.path / _CAM / "data",
+                    self.path / "flown"):  # fmt: skip
+            if one.is_symlink() and one.is_dir():
+                raise LogError(f"{one}: is a link to {one.resolve()}; a folder of the log's own is"
+                               " needed, remove the link")  # fmt: skip
 
     def __enter__(self) -> "LogWriter":
         return self
@@ -185,9 +196,9 @@ class LogWriter:
         file = self._files.get(name)
         if file is None:
             path = self.path / name
-            path.parent.mkdir(parents=True, exist_ok=True)
+            make_private_folder(path.parent)
             fresh = not path.exists()
-            file = self._files[name] = path.open("a", encoding="utf-8", buffering=1)
+            file = self._files[name] = opened_private(path, "a")
             row = f"{header}\n{row}" if fresh and header is not None else row
         with self._whole(name):
             file.write(row + "\n")
@@ -202,6 +213,31 @@ class LogWriter:
                 self._files.pop(name).close()
             _cut(self.path / name)
             raise OSError(err.errno, err.strerror, str(self.path / name)) from None
+
+
+def opened_private(path: Path, mode: Literal["a", "w"]) -> TextIO:
+    """A text file opened for writing (w, a) that others than owner and group cannot read."""
+
+    def opener(name: str, flags: int) -> int:
+        return os.open(name, flags, _FILE_MODE)
+
+    return open(path, mode, encoding="utf-8", buffering=1, opener=opener)
+
+
+def make_private_folder(path: Path) -> None:
+    """Make a folder, and those above that are missing, closed to others; what is there stays."""
+    for one in [*reversed(path.parents), path]:
+        if not one.exists():
+            one.mkdir(mode=_FOLDER_MODE, exist_ok=True)
+
+
+def _is_own(file: Path, root: Path) -> bool:
+    """Whether a file is the log's own: no folder on the way to it below root is a link.
+
+    A link itself is one too: it goes, what it leads to stays.
+    """
+    above = [one for one in file.parents if one.is_relative_to(root) and one != root]
+    return not any(one.is_symlink() for one in above)
 
 
 def _cut(path: Path) -> None:
@@ -239,10 +275,11 @@ def _write_png(path: Path, image: "np.ndarray[tuple[int, ...], np.dtype[np.uint8
     done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
     if not done:
         raise LogError(f"{path}: an image of shape {image.shape} cannot be written as PNG")
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_private_folder(path.parent)
     temporary = path.with_suffix(".tmp")
     try:
-        temporary.write_bytes(data.tobytes())
+        with open(temporary, "wb", opener=lambda n, flags: os.open(n, flags, _FILE_MODE)) as file:
+            file.write(data.tobytes())
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -8,7 +8,9 @@ import numpy as np
 
 from tagvo.geometry import IntArray
 from tagvo.records import Detections, Frame
+from tagvo.textfile import check_regular
 from vio.errors import LogError
+from vio.sources.imagefile import decoded
 from vio.sources.logfiles import (
     DetectionTable,
     FrameList,
@@ -68,14 +70,12 @@ class FrameSource:
 
 def read_image(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.uint8]] | None:
     """Grey image (h, w) uint8 of a file, None where it is none."""
-    import cv2
-
     try:
+        check_regular(path, LogError)
         data = np.fromfile(path, dtype=np.uint8)
-        image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if data.size else None
-    except (OSError, cv2.error):
+    except (OSError, LogError, MemoryError):
         return None
-    return None if image is None else np.asarray(image, dtype=np.uint8)
+    return decoded(data)
 
 
 def open_frames(
@@ -132,8 +132,15 @@ def _frame_list(folder: Path, table: DetectionTable | None, tally: Tally) -> Fra
 def _image_paths(folder: Path, frames: FrameList, use_detections: bool) -> list[Path | None]:
     if use_detections or not (folder / "data").is_dir():
         return [None] * len(frames)
-    paths = [folder / "data" / name if name else None for name in frames.filename]
+    paths = [folder / "data" / name if _stays_below(name) else None for name in frames.filename]
     return [path if path is not None and _is_file(path) else None for path in paths]
+
+
+def _stays_below(name: str) -> bool:
+    """Whether a name out of a file is one of a file below its folder: who wrote the log must not
+    choose among the reader's other files. (Links that lie there are the user's own.)"""
+    parts = name.replace("\\", "/").split("/")
+    return bool(name) and not name.startswith(("/", "~")) and ".." not in parts
 
 
 def _is_file(path: Path) -> bool:

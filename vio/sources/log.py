@@ -75,7 +75,7 @@ class FlightLog:
         tag_map = load_map(path / "tagmap.yaml")
         if ids is not None:
             tag_map = tag_map.only(np.array(ids, dtype=np.int64))
-        camera = load_camera(camera_path)
+        camera = load_camera(camera_path, "cam0")
         track = _open_imu(path, imu, tally)
         t0_ns = None if track is None else int(track.t_ns[0])
         frames = open_frames(path / "mav0/cam0", camera.resolution, options, t0_ns, tally)
@@ -186,6 +186,8 @@ def _optional(path: Path, read: Callable[[Path], T]) -> T | None:
 def _warn(log: FlightLog) -> None:
     """Note what is strange about a log as a whole."""
     t_ns, tally = log.frames.t_ns, log.tally
+    for text in log.camera.notes:
+        tally.note(text)
     if log.truth is not None and _apart(t_ns, log.truth.t_ns):
         tally.note(f"{log.path}: truth and frames do not overlap in time")
     if log.imu is None:

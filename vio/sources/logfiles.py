@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tagvo.errors import shown
 from tagvo.geometry import Array, IntArray
 from tagvo.records import Detections
 from tagvo.textfile import finite_number, read_yaml
@@ -15,6 +16,8 @@ from vio.sources.csvrows import BLANK
 from vio.sources.csvtable import Table, read_table
 from vio.sources.tally import Tally
 
+_SLOWEST_IMU_NS = 50_000_000  # 20 Hz: a hand moves at 5 Hz, a vehicle's attitude faster
+_CLOCK_STEP_NS = 1_000_000_000  # no buffer holds back so much; a gap of less is one
 _GYRO = ("gyro_x", "gyro_y", "gyro_z")
 _ACCEL = ("accel_x", "accel_y", "accel_z")
 _P, _Q = ("p_x", "p_y", "p_z"), ("q_w", "q_x", "q_y", "q_z")
@@ -109,10 +112,25 @@ def read_imu(path: Path, tally: Tally) -> ImuTrack:
     forward = steps[steps > 0]
     gaps = int(np.sum(forward > 5 * np.median(forward))) if len(forward) else 0
     tally.count("imu_gap", f"{path}: a step of more than five times the usual", gaps)
+    _doubt_clock(path, steps, forward, tally)
     mean = table.ints["mean"][rows] == 1 if "mean" in table.ints else None
     return ImuTrack(
         t_ns, table.stack(_GYRO)[rows], table.stack(_ACCEL)[rows], _arrival(table)[rows], mean
     )
+
+
+def _doubt_clock(path: Path, steps: IntArray, forward: IntArray, tally: Tally) -> None:
+    """Note an IMU that is too slow to integrate, and a clock that steps."""
+    if not len(forward):
+        return
+    usual_ns = float(np.median(forward))
+    if usual_ns > _SLOWEST_IMU_NS:
+        tally.note(f"{path}: the IMU comes at {1e9 / usual_ns:.3g} Hz; 100 Hz and more are needed"
+                   f" (below {1e9 / _SLOWEST_IMU_NS:g} Hz nothing can be integrated)")  # fmt: skip
+    stepped = np.abs(steps[np.abs(steps) > _CLOCK_STEP_NS])
+    if len(stepped):
+        tally.note(f"{path}: the IMU's clock steps {len(stepped)} times, by up to"
+                   f" {1e-9 * stepped.max():.3g} s; what lies between is not known")  # fmt: skip
 
 
 def read_truth(path: Path, tally: Tally) -> Truth:
@@ -205,12 +223,12 @@ def read_imu_noise(path: Path, name: str = "imu0") -> ImuNoise:
         values[ours] = finite_number(data[key], f"{path} {key}", LogError)
         lowest = "a positive number" if key.endswith("density") else "a number of at least 0"
         if values[ours] < 0.0 or (values[ours] == 0.0 and key.endswith("density")):
-            raise LogError(f"{path} {key}: {data[key]!r}; {lowest} is needed")
+            raise LogError(f"{path} {key}: {shown(data[key])}; {lowest} is needed")
     rate = data.get("update_rate")
     if rate is not None:
         rate = finite_number(rate, f"{path} update_rate", LogError)
         if rate <= 0.0:
-            raise LogError(f"{path} update_rate: {rate!r}; a positive number of Hz is needed")
+            raise LogError(f"{path} update_rate: {shown(rate)}; a positive number of Hz is needed")
     return ImuNoise(**values, rate_hz=rate)
 
 

@@ -4,6 +4,7 @@ import sqlite3
 import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,23 +20,30 @@ from vio.sources.foreign.images import ENCODINGS, picture, unpacked
 from vio.sources.foreign.messages import (
     APRILTAG_MSGS,
     calibration,
+    family_of,
     imu_values,
     pose_values,
     stamp_ns,
     tags_of,
 )
-from vio.sources.foreign.records import Foreign, FrameReel
-from vio.sources.foreign.topics import COMPRESSED, Topic, choose
+from vio.sources.foreign.records import Foreign, FrameReel, said
+from vio.sources.foreign.topics import COMPRESSED, Topic, choose, is_rectified
 from vio.sources.tally import Tally
 
 _SAME_CLOCK_NS = 2_000_000_000  # recorded within so much of its stamp: the same clock
+_LATEST_NS = 2**62  # differences of stamps must fit in int64
 _MARK = 200  # messages whose lag is looked at for that
 _BROKEN = (ValueError, KeyError, IndexError, AttributeError, struct.error, sqlite3.Error,
-           AssertionError, EOFError, OSError, RuntimeError, UnicodeError)  # fmt: skip
+           AssertionError, EOFError, OSError, RuntimeError, UnicodeError, TypeError,
+           OverflowError, MemoryError, LookupError, ArithmeticError)  # fmt: skip
 
 
-def read_bag(path: Path, named: Mapping[str, str], tally: Tally) -> Foreign:
+def read_bag(
+    path: Path, named: Mapping[str, str], tally: Tally, rectified: bool | None = None
+) -> Foreign:
     """IMU, truth, camera and frames of a bag; topics are guessed unless named (`topics.choose`).
+
+    rectified: whether pixels are of rectified images, None: as the topics say.
 
     Stamps are those of the headers; arrivals are the times of recording, where these are in the
     same clock. LogError where the file is no bag or has neither IMU nor frames.
@@ -48,8 +56,10 @@ def read_bag(path: Path, named: Mapping[str, str], tally: Tally) -> Foreign:
             kinds = ", ".join(f"{t.name} ({t.type})" for t in topics) or "no topic at all"
             raise LogError(f"{path}: neither an IMU nor images nor tags in it; it has {kinds}")
         bag = _Bag(path, reader, chosen, tally)
-        imu, truth = bag.imu(), bag.truth()
-        camera, tags = bag.camera(), bag.tags()
+        imu, truth = bag.imu(notes), bag.truth()
+        tags = bag.tags()
+        flat = _of_rectified(chosen, bag.family, notes, path) if rectified is None else rectified
+        camera = bag.camera(flat, notes)
         late = bag.same_clock()
     if not late:
         notes.append(f"{path}: recorded in another clock than stamped, so arrivals are not known")
@@ -57,7 +67,36 @@ def read_bag(path: Path, named: Mapping[str, str], tally: Tally) -> Foreign:
         notes.append(f"{path}: {chosen['truth'].name} is taken for the pose of the IMU in the map")
     imus = {} if imu is None else {"imu0": imu if late else _at_stamps(imu)}
     reel = _reel(path, chosen, tags, late, tally)
-    return Foreign(imus, truth=truth, camera=camera, frames=reel, notes=tuple(notes))
+    image = chosen["image"].name if "image" in chosen else None
+    return Foreign(
+        imus, truth=truth, camera=camera, frames=reel, notes=tuple(notes), rectified=flat,
+        image_topic=image,
+    )  # fmt: skip
+
+
+def _of_rectified(chosen: Mapping[str, Topic], family: str, notes: list[str], path: Path) -> bool:
+    """Whether the pixels are of rectified images: by the image topic's name, and those of the
+    apriltag node (which subscribes to image_rect) where there are tags alone."""
+    if "image" in chosen:
+        flat = is_rectified(chosen["image"].name)
+    else:
+        flat = "detections" in chosen and family != ""  # our own bags name no family: raw pixels
+    if flat:
+        what = chosen["image" if "image" in chosen else "detections"].name
+        notes.append(f"{path}: {what} is taken for rectified (P of camera_info, no distortion);"
+                     " --rectified no takes K and D")  # fmt: skip
+    return flat
+
+
+@cache
+def _types() -> Any:
+    """The messages of ROS 2 and of apriltag_msgs; made once, which takes a while."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in APRILTAG_MSGS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 @contextmanager
@@ -65,18 +104,14 @@ def _opened(path: Path) -> Iterator[Any]:
     """An open rosbags reader; what it cannot open is a LogError."""
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
-        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError:
         raise VioError("bags need rosbags: pip install 'tagvio[logs]'") from None
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    for name, text in APRILTAG_MSGS.items():
-        store.register(get_types_from_msg(text, name))
     try:
-        reader = AnyReader([path], default_typestore=store)
+        reader = AnyReader([path], default_typestore=_types())
         reader.open()
     except (AnyReaderError, *_BROKEN) as err:
         hint = "; `rosbag reindex` or `ros2 bag reindex` may help" if path.exists() else ""
-        raise LogError(f"{path}: not a bag that can be read ({_said(err)}){hint}") from None
+        raise LogError(f"{path}: not a bag that can be read ({said(err)}){hint}") from None
     try:
         yield reader
     finally:
@@ -89,6 +124,7 @@ class _Bag:
     def __init__(self, path: Path, reader: Any, chosen: Mapping[str, Topic], tally: Tally) -> None:
         self._path, self._reader, self._chosen, self._tally = path, reader, chosen, tally
         self._lags: list[int] = []
+        self.family = ""
 
     def messages(self, what: str) -> Iterator[tuple[int, Any]]:
         """Time of recording [ns] and message; ends, counted, where the bag is broken."""
@@ -104,13 +140,17 @@ class _Bag:
                 return
             except Exception as err:  # whatever a broken file makes of a decoder
                 self._tally.count(
-                    "bag_broken", f"{self._path}: {topic.name} ends here ({_said(err)})"
+                    "bag_broken", f"{self._path}: {topic.name} ends here ({said(err)})"
                 )
                 return
             try:
                 message = self._reader.deserialize(raw, connection.msgtype)
             except Exception as err:
-                text = f"{self._path}: a message of {topic.name} is broken ({_said(err)})"
+                text = f"{self._path}: a message of {topic.name} is broken ({said(err)})"
+                self._tally.count("bag_message_broken", text)
+                continue
+            if not 0 <= recorded_ns < _LATEST_NS:
+                text = f"{self._path}: a message of {topic.name} recorded at {recorded_ns} ns"
                 self._tally.count("bag_message_broken", text)
                 continue
             if len(self._lags) < _MARK and what in ("imu", "image", "detections"):
@@ -123,8 +163,26 @@ class _Bag:
             next(self.messages("image"), None)
         return not self._lags or abs(float(np.median(self._lags))) < _SAME_CLOCK_NS
 
-    def imu(self) -> ImuTrack | None:
-        rows = [(stamp_ns(m), ns, *imu_values(m)) for ns, m in self.messages("imu")]
+    def imu(self, notes: list[str]) -> ImuTrack | None:
+        """The IMU, its halves put together where they have a topic each; None: there is none."""
+        track = self._imu_of("imu")
+        half = self._imu_of("accel")
+        if track is not None and half is not None:
+            track = paired(track, half)
+            names = self._chosen["imu"].name, self._chosen["accel"].name
+            notes.append(f"{self._path}: gyro of {names[0]}, accelerometer of {names[1]}, put"
+                         " together at the gyro's stamps")  # fmt: skip
+        if track is not None and len(track) and track.accel_I.any() and track.gyro_I.any():
+            return track
+        if track is not None:
+            what = "angular rate" if len(track) and track.accel_I.any() else "specific force"
+            notes.append(f"{self._path}: {self._chosen['imu'].name} has no {what} (0 throughout),"
+                         " so it is no IMU and is left out; --topic imu=NAME, accel=NAME take"
+                         " others")  # fmt: skip
+        return None
+
+    def _imu_of(self, what: str) -> ImuTrack | None:
+        rows = [(stamp_ns(m), ns, *imu_values(m)) for ns, m in self.messages(what)]
         if not rows:
             return None
         t_ns, known_ns, gyro, accel = zip(*rows, strict=True)
@@ -137,14 +195,38 @@ class _Bag:
         rows = [(stamp_ns(m), *pose_values(m, topic.type)) for _, m in self.messages("truth")]
         return truth_of(rows, self._path, self._tally)
 
-    def camera(self) -> Camera | None:
+    def camera(self, rectified: bool, notes: list[str]) -> Camera | None:
         for _, message in self.messages("camera"):
-            return camera_of(calibration(message), self._path)
+            data, topic = calibration(message, rectified), self._chosen["camera"].name
+            if data is not None:
+                return camera_of(data, Path(f"{self._path} {topic}"))
+            notes.append(f"{self._path}: {topic} is not calibrated (K{' or P' * rectified} is 0):"
+                         " give --camera")  # fmt: skip
+            return None
         return None
 
     def tags(self) -> dict[int, tuple[int, Detections]]:
         """By stamp: when known, and the tags."""
-        return {stamp_ns(m): (ns, tags_of(m)) for ns, m in self.messages("detections")}
+        out = {}
+        for ns, message in self.messages("detections"):
+            out[stamp_ns(message)] = ns, tags_of(message)
+            self.family = self.family or family_of(message)
+        return out
+
+
+def paired(gyro: ImuTrack, accel: ImuTrack) -> ImuTrack:
+    """One track of a gyro's and an accelerometer's: at the gyro's stamps, the specific force
+    straight between the samples around; known once both are. Stamps outside the other's go."""
+    order = np.argsort(accel.t_ns, kind="stable")
+    a_ns, known_ns = accel.t_ns[order], accel.arrival_ns[order]
+    rows = np.flatnonzero((gyro.t_ns >= a_ns[0]) & (gyro.t_ns <= a_ns[-1]))
+    t_ns = gyro.t_ns[rows]
+    since = (t_ns - a_ns[0]).astype(float)
+    force = [np.interp(since, (a_ns - a_ns[0]).astype(float), accel.accel_I[order, k])
+             for k in range(3)]  # fmt: skip
+    later = np.searchsorted(a_ns, t_ns)
+    known = np.maximum(gyro.arrival_ns[rows], known_ns[later])
+    return ImuTrack(t_ns, gyro.gyro_I[rows], np.stack(force, axis=-1), known)
 
 
 def truth_of(rows: Sequence[tuple[int, Array, Array, Array]], path: Path, tally: Tally) -> Truth:
@@ -191,10 +273,6 @@ def _reel(
                 yield Frame(t_ns, image, found, ns if late else None)
 
     return FrameReel(chosen["image"].count, frames)
-
-
-def _said(err: BaseException) -> str:
-    return " ".join(str(err).split()) or type(err).__name__
 
 
 def _at_stamps(track: ImuTrack) -> ImuTrack:

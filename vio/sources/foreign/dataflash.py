@@ -1,7 +1,8 @@
 """ArduPilot's DataFlash log (.bin) by pymavlink: raw IMUs, and a simulator's truth."""
 
-import struct
+import io
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from vio.errors import LogError
 from vio.frames import FLIP, enu_of_ned, flu_in_enu
 from vio.records import ImuTrack, Truth
 from vio.sources.foreign.attitude import between
-from vio.sources.foreign.records import Foreign
+from vio.sources.foreign.records import Foreign, said
 from vio.sources.tally import Tally
 
 _FIELDS = {
@@ -22,6 +23,9 @@ _FIELDS = {
     "SIM2": ("TimeUS", "PN", "PE", "PD", "VN", "VE", "VD"),
     "SIM": ("TimeUS", "Q1", "Q2", "Q3", "Q4"),
 }
+_NUMBERED = ("GYR", "ACC", "IMU")
+_WANTED = {*_FIELDS, *(f"{name}{i}" for name in _NUMBERED for i in range(1, 4))}
+_LARGEST = 2.0**52  # [us] 140 years; below, a float holds every microsecond
 _BINARY, _TEXT = b"\xa3\x95", b"FMT"
 _FILTERED = (
     "no GYR and ACC messages (INS_RAW_LOG_OPT or LOG_BITMASK's fast IMU), so IMU was taken:"
@@ -36,11 +40,9 @@ def read_dataflash(path: Path, tally: Tally) -> Foreign:
     LogError where the file is none or has no IMU.
     """
     rows = _columns(path, tally)
-    raw = {name: rows[name] for name in ("GYR", "ACC") if name in rows}
     notes = []
-    if len(raw) == 2:
-        imus = _raw_imus(raw["GYR"], raw["ACC"], path, tally)
-    else:
+    imus = _raw_imus(rows.get("GYR"), rows.get("ACC"), path, tally)
+    if not imus:
         imus = _logged_imus(rows.get("IMU"))
         notes = [f"{path}: {_FILTERED}"]
     if not imus:
@@ -55,12 +57,29 @@ def _columns(path: Path, tally: Tally) -> dict[str, Array]:
     """Rows of each message type that we take, as written; (n, fields)."""
     out: dict[str, list[tuple[float, ...]]] = {name: [] for name in _FIELDS}
     for message in _messages(path, tally):
-        name = message.get_type()
+        kind, numbered = _kind_of(message.get_type())
         try:
-            out[name].append(tuple(getattr(message, key) for key in _FIELDS[name]))
-        except AttributeError:
-            tally.count("dataflash_fields", f"{path}: a {name} without {', '.join(_FIELDS[name])}")
+            out[kind].append(tuple(_value(message, key, numbered) for key in _FIELDS[kind]))
+        except (AttributeError, TypeError, ValueError, IndexError):
+            tally.count("dataflash_fields", f"{path}: a {kind} without {', '.join(_FIELDS[kind])}")
     return {name: np.array(rows, dtype=float) for name, rows in out.items() if rows}
+
+
+def _kind_of(name: str) -> tuple[str, int]:
+    """GYR and 1 of GYR2: before ArduPilot 4.1 each instance had a message of its own."""
+    stem = name.rstrip("0123456789")
+    if stem not in _NUMBERED or stem == name:
+        return name, 0
+    return stem, max(0, int(name[len(stem) :]) - 1)
+
+
+def _value(message: Any, key: str, numbered: int) -> float:
+    """A field as a whole number or a float; I, the instance, is in the name where no field is."""
+    value = getattr(message, key, numbered) if key == "I" else getattr(message, key)
+    number = float(value)
+    if not abs(number) < _LARGEST:
+        raise ValueError(f"{key} is {number}")
+    return number
 
 
 def _messages(path: Path, tally: Tally) -> Iterator[Any]:
@@ -72,24 +91,32 @@ def _messages(path: Path, tally: Tally) -> Iterator[Any]:
         raise LogError(f"{path}: not a DataFlash log; one starts with the bytes A3 95, or with FMT")
     try:
         text = first == _TEXT
-        reader = (DFReader_text if text else DFReader_binary)(str(path), zero_time_base=True)
-    except (OSError, ValueError, struct.error, IndexError, KeyError, AttributeError) as err:
-        raise LogError(f"{path}: not a DataFlash log that can be read ({err})") from None
+        with redirect_stdout(io.StringIO()):  # pymavlink prints what it passes over
+            reader = (DFReader_text if text else DFReader_binary)(str(path), zero_time_base=True)
+    except Exception as err:  # pymavlink raises a bare Exception for a format it does not know
+        raise LogError(f"{path}: not a DataFlash log that can be read ({said(err)})") from None
+    chatter = io.StringIO()
     with reader:
         while True:
             try:
-                message = reader.recv_match(type=set(_FIELDS), strict=True)
-            except (ValueError, struct.error, IndexError, KeyError, UnicodeError) as err:
-                tally.count("dataflash_broken", f"{path}: reading ends where it is broken ({err})")
+                with redirect_stdout(chatter):
+                    message = reader.recv_match(type=_WANTED, strict=True)
+            except Exception as err:  # whatever a broken log makes of pymavlink
+                words = f"{path}: reading ends where it is broken ({said(err)})"
+                tally.count("dataflash_broken", words)
                 return
             if message is None:
                 return
             yield message
 
 
-def _raw_imus(gyr: Array, acc: Array, path: Path, tally: Tally) -> dict[str, ImuTrack]:
+def _raw_imus(
+    gyr: Array | None, acc: Array | None, path: Path, tally: Tally
+) -> dict[str, ImuTrack]:
     """Gyro and accelerometer of each instance, paired by their sample time."""
-    out = {}
+    out: dict[str, ImuTrack] = {}
+    if gyr is None or acc is None:
+        return out
     for instance in np.unique(gyr[:, 1]).astype(int).tolist():
         gyro, accel = (rows[rows[:, 1] == instance] for rows in (gyr, acc))
         _, i, j = np.intersect1d(gyro[:, 0], accel[:, 0], return_indices=True)

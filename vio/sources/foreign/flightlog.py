@@ -41,7 +41,7 @@ def _readable(source: FrameSource) -> Iterator[Frame]:
 def _camera(path: Path) -> Camera | None:
     files = [path / "camchain-imucam.yaml", path / "mav0/cam0/sensor.yaml"]
     file = next((p for p in files if p.exists()), None)
-    return None if file is None else load_camera(file)
+    return None if file is None else load_camera(file, "cam0")
 
 
 def _frames(path: Path, camera: Camera, tally: Tally) -> FrameSource | None:

@@ -1,9 +1,12 @@
 """Pictures of ROS messages and video files as grey images."""
 
+import re
 from typing import Any
 
 import cv2
 import numpy as np
+
+from vio.sources.imagefile import decoded
 
 Image = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
 _BAYER = {"rggb": cv2.COLOR_BayerBG2GRAY, "bggr": cv2.COLOR_BayerRG2GRAY,
@@ -15,36 +18,46 @@ _COLOUR = {  # ROS's encoding -> channels, OpenCV's conversion
     "bgra8": (4, cv2.COLOR_BGRA2GRAY),
     "rgba8": (4, cv2.COLOR_RGBA2GRAY),
 }
-ENCODINGS = "mono8, mono16, rgb8, bgr8, rgba8, bgra8, bayer_*8"
+_LUMA = {  # YUV 4:2:2, two bytes a pixel: the first byte that is brightness
+    "yuv422": 1, "uyvy": 1, "yuv422_yuy2": 0, "yuyv": 0, "yuv422_yuyv": 0,
+}  # fmt: skip
+_PLANAR = ("nv12", "nv21", "nv24", "i420", "yv12", "yuv420", "yuv420p", "yuv_420_888")
+_DEEP = ("mono16", "16UC1")
+ENCODINGS = "mono8, mono16, rgb8, bgr8, rgba8, bgra8, bayer_*8, yuv422, yuyv, uyvy, nv12, i420"
 
 
 def picture(message: Any) -> Image | None:
     """Grey (h, w) of a sensor_msgs/Image; None where its size or encoding is not one we know."""
     encoding = str(message.encoding)
     h, w, step = int(message.height), int(message.width), int(message.step)
-    channels, conversion = _COLOUR.get(encoding, (1, None))
-    wide = encoding in ("mono16", "16UC1")
-    known = wide or encoding in ("mono8", "8UC1") or conversion or encoding.startswith("bayer_")
-    width = w * channels * (2 if wide else 1)
+    wide = encoding in _DEEP or encoding.lower() in _LUMA
+    width = w * _COLOUR.get(encoding, (1, None))[0] * (2 if wide else 1)
     data = np.frombuffer(message.data, dtype=np.uint8)
-    if not known or not 0 < width <= step or h < 1 or len(data) < h * step:
+    if not 0 < width <= step or h < 1 or len(data) < h * step:
         return None
     rows = np.ascontiguousarray(data[: h * step].reshape(h, step)[:, :width])
-    if wide:
-        return np.asarray(rows[:, (0 if message.is_bigendian else 1) :: 2])
+    return _grey(encoding, rows, w, bool(message.is_bigendian))
+
+
+def _grey(encoding: str, rows: Image, w: int, big: bool) -> Image | None:
+    """Grey (h, w) of an image's rows of bytes; None for an encoding that we do not know."""
+    name = encoding.lower()
+    if encoding in _DEEP:
+        return np.asarray(rows[:, (0 if big else 1) :: 2])
+    if name in _LUMA:
+        return np.asarray(rows[:, _LUMA[name] :: 2])
+    if encoding in ("mono8", "8UC1") or name in _PLANAR:
+        return rows  # of planes the first h rows are the brightness
+    channels, conversion = _COLOUR.get(encoding, (1, None))
     if conversion is not None:
-        return np.asarray(cv2.cvtColor(rows.reshape(h, w, channels), conversion), dtype=np.uint8)
-    if not encoding.startswith("bayer_"):
-        return rows
-    bayer = _BAYER.get(encoding[6:10]) if encoding.endswith("8") else None
-    return None if bayer is None else np.asarray(cv2.cvtColor(rows, bayer), dtype=np.uint8)
+        bands = rows.reshape(len(rows), w, channels)
+        return np.asarray(cv2.cvtColor(bands, conversion), dtype=np.uint8)
+    bayer = _BAYER.get(encoding[6:10]) if re.fullmatch("bayer_[bgr]{4}8", encoding) else None
+    if bayer is None or min(rows.shape) < 2:
+        return None
+    return np.asarray(cv2.cvtColor(rows, bayer), dtype=np.uint8)
 
 
 def unpacked(data: Any) -> Image | None:
     """Grey (h, w) of a JPEG or PNG; None where it is broken."""
-    buffer = np.frombuffer(data, dtype=np.uint8)
-    try:
-        image = cv2.imdecode(buffer, cv2.IMREAD_GRAYSCALE) if buffer.size else None
-    except cv2.error:
-        return None
-    return None if image is None else np.asarray(image, dtype=np.uint8)
+    return decoded(np.frombuffer(data, dtype=np.uint8))

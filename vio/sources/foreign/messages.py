@@ -46,6 +46,11 @@ def pose_values(message: Any, kind: str) -> Pose:
     return _xyz(p), q_WI, v
 
 
+def family_of(message: Any) -> str:
+    """The family that an apriltag_msgs array names; empty: it has no tag, or names none."""
+    return str(message.detections[0].family) if len(message.detections) else ""
+
+
 def tags_of(message: Any) -> Detections:
     """The tags of an apriltag_msgs array, whose corners are the AprilTag library's own."""
     found = message.detections
@@ -59,10 +64,23 @@ def tags_of(message: Any) -> Detections:
     )
 
 
-def calibration(message: Any) -> dict[str, Any]:
-    """A CameraInfo as its YAML file would say it (ROS 1 has capital letters)."""
+def calibration(message: Any, rectified: bool = False) -> dict[str, Any] | None:
+    """A CameraInfo as its YAML file would say it (ROS 1 has capital letters).
+
+    rectified: of its rectified images: P without distortion. None where it is not calibrated.
+    """
     k = message.K if hasattr(message, "K") else message.k
     d = message.D if hasattr(message, "D") else message.d
+    p = message.P if hasattr(message, "P") else message.p
+    if float(k[0]) == 0.0 or (rectified and float(p[0]) == 0.0):
+        return None
+    if rectified:
+        return {
+            "image_width": int(message.width),
+            "image_height": int(message.height),
+            "camera_matrix": {"data": [float(p[i]) for i in (0, 1, 2, 4, 5, 6, 8, 9, 10)]},
+            "distortion_model": "none",
+        }
     return {
         "image_width": int(message.width),
         "image_height": int(message.height),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tagvo.textfile import check_regular
 from vio.errors import LogError
 from vio.sources.foreign.records import Foreign
 from vio.sources.tally import Tally
@@ -37,6 +38,7 @@ def kind_of(path: Path) -> str:
         raise LogError(f"{path}: a folder that is no log{hint}; {ALLOWED}")
     if not path.exists():
         raise LogError(f"{path}: no such file; {ALLOWED}")
+    check_regular(path, LogError)
     kind = KINDS.get(path.suffix.lower())
     if path.suffix.lower() in _PACKED:
         raise LogError(f"{path}: unpack it first; {ALLOWED}")
@@ -46,14 +48,18 @@ def kind_of(path: Path) -> str:
 
 
 def read_foreign(
-    path: Path, tally: Tally, topics: Mapping[str, str], stamps: Path | None = None
+    path: Path,
+    tally: Tally,
+    topics: Mapping[str, str],
+    stamps: Path | None = None,
+    rectified: bool | None = None,
 ) -> Foreign:
-    """What one file or folder holds; topics: of bags (`topics.choose`); stamps: of a video."""
+    """What one file or folder holds; topics, rectified: of bags; stamps: of a video."""
     kind = kind_of(path)
     if kind == "bag":
         from vio.sources.foreign.bags import read_bag
 
-        return read_bag(path, topics, tally)
+        return read_bag(path, topics, tally, rectified)
     if kind == "dataflash":
         from vio.sources.foreign.dataflash import read_dataflash
 
@@ -92,6 +98,8 @@ def together(parts: Sequence[tuple[Path, Foreign]]) -> Foreign:
             whole.camera if part.camera is None else part.camera,
             whole.frames if part.frames is None else part.frames,
             whole.notes + part.notes,
+            whole.rectified or part.rectified,
+            whole.image_topic or part.image_topic,
         )
     return whole
 

@@ -1,6 +1,8 @@
 """PX4's ULog (.ulg) by pyulog: the IMU that its filter uses, and a simulator's truth."""
 
+import io
 import struct
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +12,11 @@ from tagvo.geometry import Array, IntArray
 from vio.errors import LogError, VioError
 from vio.frames import FLIP, enu_of_ned, flu_in_enu
 from vio.records import ImuTrack, Truth
-from vio.sources.foreign.records import Foreign
+from vio.sources.foreign.records import Foreign, said
 from vio.sources.tally import Tally
 
-_BROKEN = (TypeError, ValueError, KeyError, IndexError, struct.error, UnicodeError)
+_BROKEN = (TypeError, ValueError, LookupError, ArithmeticError, struct.error, AttributeError,
+           MemoryError, OSError, AssertionError, RuntimeError)  # fmt: skip
 _IMU = "sensor_combined"
 _ATTITUDE, _POSITION = "vehicle_attitude_groundtruth", "vehicle_local_position_groundtruth"
 
@@ -34,10 +37,15 @@ def read_ulog(path: Path, tally: Tally) -> Foreign:
     if imu is None:
         has = ", ".join(sorted({d.name for d in log.data_list})) or "nothing that we know"
         raise LogError(f"{path}: no {_IMU} in it; it has {has}")
-    t_ns = _ns(imu)
-    gyro, accel = _stack(imu, "gyro_rad"), _stack(imu, "accelerometer_m_s2")
+    try:
+        t_ns = _ns(imu)
+        gyro, accel = _stack(imu, "gyro_rad"), _stack(imu, "accelerometer_m_s2")
+        truth = _truth(topics)
+    except _BROKEN as err:  # fields that have other names or types than PX4's
+        raise LogError(f"{path}: {_IMU} or the truth has not PX4's fields ({said(err)})") from None
+    if not len(t_ns):
+        raise LogError(f"{path}: {_IMU} has no sample")
     track = ImuTrack(t_ns, gyro * FLIP, accel * FLIP, t_ns, np.ones(len(t_ns), dtype=bool))
-    truth = _truth(topics)
     notes = () if truth is not None else (f"{path}: no truth in it ({_POSITION} is a simulator's)",)
     return Foreign({"imu0": track}, truth=truth, notes=notes)
 
@@ -49,9 +57,10 @@ def _open(path: Path) -> Any:
     except ImportError:
         raise VioError("ULog files need pyulog: pip install 'tagvio[logs]'") from None
     try:
-        return ULog(str(path), [_IMU, _ATTITUDE, _POSITION], disable_str_exceptions=True)
+        with redirect_stdout(io.StringIO()):  # what it prints of a broken file is counted here
+            return ULog(str(path), [_IMU, _ATTITUDE, _POSITION], disable_str_exceptions=True)
     except (ULogException, *_BROKEN) as err:
-        raise LogError(f"{path}: not a ULog that can be read ({err})") from None
+        raise LogError(f"{path}: not a ULog that can be read ({said(err)})") from None
 
 
 def _truth(topics: dict[str, Any]) -> Truth | None:
