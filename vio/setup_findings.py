@@ -13,6 +13,18 @@ Code = Literal[
 ]  # fmt: skip
 
 
+SHORT: dict[Code, str] = {  # for a line of 50 letters on a ground station
+    "cam_imu_rotation": "T_cam_imu is turned",
+    "mirrored": "gyro or T_cam_imu mirrored",
+    "imu_axes": "IMU axes are wrong",
+    "time_offset": "camera and IMU clocks apart",
+    "stamp_unit": "stamps in a wrong unit",
+    "size_kind": "tag sizes of the map are wrong",
+    "no_specific_force": "IMU without specific force",
+    "gravity": "force does not point up",
+}
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One mistake of a set-up: what it is, how large (deg, s or a ratio), whether beyond doubt."""

@@ -36,6 +36,28 @@ class _Pair:
     R_WC: Array
 
 
+_Sample = tuple[int, Array, Array]  # stamp, gyro, accel
+
+
+def _turns(samples: list[_Sample], pairs: list[_Pair]) -> Turns:
+    """The check's input, times from the first sample on."""
+    zero = samples[0][0]
+    pairs = [p for p in pairs if p.b_ns > zero]
+    phi = np.array([p.phi_C for p in pairs]).reshape(-1, 3)
+    keep = np.flatnonzero(moving(phi))
+    pick = [pairs[int(k)] for k in keep]
+    return Turns(
+        np.array([p.a_ns - zero for p in pick]) * 1e-9,
+        np.array([p.b_ns - zero for p in pick]) * 1e-9,
+        phi[keep],
+        np.array([p.sigma for p in pick]),
+        np.array([p.R_WC for p in pick]).reshape(-1, 3, 3),
+        np.array([t - zero for t, _, _ in samples]) * 1e-9,
+        np.array([w for _, w, _ in samples]),
+        np.array([f for _, _, f in samples]),
+    )
+
+
 class SetupWatch:
     """Takes samples and frames in order of arrival; `findings` is what it knows by now.
 
@@ -50,19 +72,23 @@ class SetupWatch:
         *,
         with_imu: bool = True,
         changed: Callable[[list[Finding]], None] = lambda findings: None,
+        later: Callable[[Callable[[], None]], None] = lambda job: job(),
     ) -> None:
-        """with_imu false: only what needs none (the tags' sizes)."""
+        """with_imu false: only what needs none (the tags' sizes).
+
+        later: what runs a judgement; the default at once, a flight beside its loop.
+        """
         gravity = tag_map.gravity
         up_W = None if gravity is None else -np.array(gravity.dir, dtype=float)
         self._rig = StatedRig(camera.R_CI, camera.timeshift_s, up_W)
         self._map = tag_map
-        self._imu: deque[tuple[int, Array, Array]] = deque()
+        self._imu: deque[_Sample] = deque()
         self._pairs: deque[_Pair] = deque(maxlen=_MOST_PAIRS)
         self._before: PoseMeasurement | None = None
         self._new = 0
         self._sized_ns: int | None = None
         self._ratios: list[float] = []
-        self._changed = changed
+        self._changed, self._later = changed, later
         self._done, self._sized = not with_imu, False
         self._turned: list[Finding] = []
         self._scaled: list[Finding] = []
@@ -70,8 +96,7 @@ class SetupWatch:
 
     def settle(self) -> None:
         """The log has ended: a last look at what there is."""
-        if not self._done:
-            self.judge()
+        self._judge(list(self._imu), list(self._pairs))
 
     @property
     def findings(self) -> list[Finding]:
@@ -86,7 +111,10 @@ class SetupWatch:
 
     def event(self, event: object) -> None:
         """Take an IMU sample; other events come as traces."""
-        if self._done or not isinstance(event, ImuSample):
+        if self._done:
+            self._imu.clear()
+            return
+        if not isinstance(event, ImuSample):
             return
         if self._imu and event.t_ns <= self._imu[-1][0]:
             return
@@ -102,7 +130,10 @@ class SetupWatch:
         """Take a frame's tags and pose."""
         if not self._sized:
             self._size(trace)
-        if self._done or trace.pose is None or "ambiguous" in trace.pose.flags:
+        if self._done:
+            self._pairs.clear()
+            return
+        if trace.pose is None or "ambiguous" in trace.pose.flags:
             return
         pose, before = trace.pose, self._before
         if before is not None and 0 < pose.t_ns - before.t_ns < _PAIR_NS:
@@ -115,51 +146,29 @@ class SetupWatch:
         self._pairs.append(_Pair(before.t_ns, pose.t_ns, phi, max(sigma, 1e-4), before.R_WC))
         self._new += 1
         if self._new >= _EVERY:
-            self.judge()
+            self._new = 0
+            samples, pairs = list(self._imu), list(self._pairs)
+            self._later(lambda: self._judge(samples, pairs))
 
-    def judge(self) -> list[Finding]:
-        """Look at all there is now; the findings."""
-        self._new = 0
-        if self._done or len(self._imu) < 50 or len(self._pairs) < _EVERY:
-            return self.findings
-        turns = self._turns()
+    def _judge(self, samples: list[_Sample], pairs: list[_Pair]) -> None:
+        """Look at all there is now."""
+        if self._done or len(samples) < 50 or len(pairs) < _EVERY:
+            return
+        turns = _turns(samples, pairs)
         lacks = check_force(turns.accel)
         turned = [lacks] if lacks is not None else check_setup(turns, self._rig)
-        span = self._pairs[-1].b_ns - self._pairs[0].a_ns
+        span = pairs[-1].b_ns - pairs[0].a_ns
         if any(f.certain for f in turned) or (
             span > _SPAN_NS and len(turns.a_s) >= 60 and enough(turns, self._rig)
         ):
-            self._finish()
+            self._done = True
         self._tell(turned, self._scaled)
-        return self.findings
-
-    def _finish(self) -> None:
-        self._done = True
-        self._imu.clear()
-        self._pairs.clear()
 
     def _tell(self, turned: list[Finding], scaled: list[Finding]) -> None:
         before = self.findings
         self._turned, self._scaled = turned, scaled
         if [f.code for f in self.findings] != [f.code for f in before]:
             self._changed(self.findings)
-
-    def _turns(self) -> Turns:
-        zero = self._imu[0][0]
-        pairs = [p for p in self._pairs if p.b_ns > zero]
-        phi = np.array([p.phi_C for p in pairs]).reshape(-1, 3)
-        keep = np.flatnonzero(moving(phi))
-        pick = [pairs[int(k)] for k in keep]
-        return Turns(
-            np.array([p.a_ns - zero for p in pick]) * 1e-9,
-            np.array([p.b_ns - zero for p in pick]) * 1e-9,
-            phi[keep],
-            np.array([p.sigma for p in pick]),
-            np.array([p.R_WC for p in pick]).reshape(-1, 3, 3),
-            np.array([t - zero for t, _, _ in self._imu]) * 1e-9,
-            np.array([w for _, w, _ in self._imu]),
-            np.array([f for _, _, f in self._imu]),
-        )
 
     def _size(self, trace: Trace) -> None:
         """Tags' distances as each tag's own size measures them, against the map's."""

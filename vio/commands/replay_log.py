@@ -84,11 +84,8 @@ def replay_log(
         warm_all(log.tag_map, log.camera, config.tagvo, vio_too)
     watch = Stopwatch()
     vo = TagVO(log.camera, log.tag_map, config.tagvo, lap=watch.lap)
-    setup = SetupWatch(log.camera, log.tag_map, with_imu=log.imu is not None and not vo_only)
-    stamps = np.array([], dtype=np.int64) if log.imu is None else log.imu.t_ns
-    unit = check_stamps(stamps, log.frames.t_ns, str(log.path))
-    setup.stated = [] if unit is None else [unit]
-    if unit is not None and not force:
+    setup = _setup_watch(log, vo_only)
+    if setup.certain and not force:
         return Replayed(log, config, RunResult(), {}, None, log.warnings, setup.findings, True)
     vio, warnings = (None, []) if vo_only else _filter(log, config, vo)
     estimators = [*arms(log, config), *([] if vio is None else [vio])]
@@ -101,12 +98,9 @@ def replay_log(
     sinks: list[Sink] = [setup, *([] if shown is None else [shown])]
     try:
         with progress(log.frame_count, "frames") as step, gently() as stop:
-
-            def ends() -> bool:
-                return stop() or (setup.certain and not force)
-
+            ends = stop if force else lambda: stop() or setup.certain
             result = run(log.events(), vo, estimators, watch, step, prior, ends, sinks, look=looks)
-            result.interrupted = result.interrupted and (stop() or force or not setup.certain)
+            result.interrupted = stop()
     finally:
         if shown is not None:
             shown.close()
@@ -122,6 +116,15 @@ def replay_log(
     return Replayed(
         log, config, result, watch.summary(), vio, said, setup.findings, refused, book, diary
     )
+
+
+def _setup_watch(log: FlightLog, vo_only: bool) -> SetupWatch:
+    """The set-up check of a log, with what its stamps alone tell."""
+    watch = SetupWatch(log.camera, log.tag_map, with_imu=log.imu is not None and not vo_only)
+    stamps = np.array([], dtype=np.int64) if log.imu is None else log.imu.t_ns
+    unit = check_stamps(stamps, log.frames.t_ns, str(log.path))
+    watch.stated = [] if unit is None else [unit]
+    return watch
 
 
 _TRIED_IMAGES = 5  # of a log without any tag: one look with each other family

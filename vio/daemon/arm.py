@@ -41,18 +41,22 @@ class FlightArm(VioArm):
         link: Link,
         clock: FlightClock,
         note: Callable[[int, Health], None] = lambda t_ns, health: None,
+        blame: Callable[[], tuple[str, ...]] = tuple,
     ) -> None:
-        """note: called with each health that was offered and its moment."""
+        """note: called with each health that was offered and its moment; blame: asked at every
+        sample for reasons why the filter is not to be believed, whatever it says."""
         super().__init__(estimator, vo, corners)
         self.health = estimator.health()
         self.counters: dict[str, int] = {}
         self._link, self._clock, self._note = link, clock, note
+        self._blame = blame
         self._samples = 0
         self._lock = threading.Lock()  # held while the filter changes
 
     def imu(self, sample: ImuSample) -> Output | None:
         """The state at this sample; one goes out where the link wants it."""
         with self._lock:
+            self.estimator.distrust(*self._blame())
             output = super().imu(sample)
         wanted = self._link.wanted()
         if wanted is not None:

@@ -18,11 +18,13 @@ from vio.daemon.meter import Meter
 from vio.daemon.notify import Systemd
 from vio.daemon.prepare import Parts
 from vio.daemon.recorder import Recorder
+from vio.daemon.setup import SetupGuard
 from vio.daemon.status import Rates, Status, cpu_by_thread
 from vio.daemon.worker import Detection
 from vio.mavlink.bridge import Bridge
 from vio.mavlink.latency import Ages
 from vio.run import RunResult, Sink, run
+from vio.setup_watch import SetupWatch
 from vio.sinks.live_view import LiveView
 from vio.sources.live_camera import Latest
 from vio.sources.live_events import LiveEvents
@@ -61,7 +63,11 @@ class Flight:
         )  # fmt: skip
         note = recorder.health if recorder is not None else lambda t_ns, health: None
         corners = config.vio.update == "corners"
-        self.arm = FlightArm(core, loop_vo, corners, bridge, clock, note)
+        self.setup = SetupGuard(bridge.alarm, bridge.say, lambda: bridge.companion.vehicle.armed)
+        self._setup_watch = SetupWatch(
+            parts.camera, parts.tag_map, changed=self.setup.found, later=self.setup.later
+        )
+        self.arm = FlightArm(core, loop_vo, corners, bridge, clock, note, self.setup.blame)
         self._loop_vo, self._camera, self._tag_map = loop_vo, parts.camera, parts.tag_map
         tracks = config.tagvo.track.mode == "on"
         foresee = self.arm.foresee if tracks else _nowhere
@@ -72,6 +78,7 @@ class Flight:
         self.detection = Detection(self.latest, vos, self.events.put, foresee)
         self._ask_prior = config.tagvo.ambiguity == "prior"
         self._stop, self._more = stop, counters
+        self._noise_said = False
         self.result = RunResult(keep=False)
         bridge.watch(self.meter.sent)
         if recorder is not None:
@@ -87,7 +94,13 @@ class Flight:
     def fly(self) -> RunResult:
         """The loop, until the events end or stop says so."""
         sinks: list[Sink] = [s for s in (self.recorder, self.view) if s is not None]
-        look = _no_look if self.view is None else self.view.look
+        sinks.append(self._setup_watch)
+
+        def look(trace: Trace) -> None:
+            self._setup_watch.look(trace)
+            if self.view is not None:
+                self.view.look(trace)
+
         return run(
             self.events, self._loop_vo, [VoArm(self._camera), self.arm], self._watch,
             prior=self._prior, stop=self._stop, sinks=sinks, result=self.result, look=look,
@@ -131,6 +144,11 @@ class Flight:
         figures, result = self.meter.figures(), self.result
         for text in result.unmapped.news(self._tag_map, result.with_pose):
             LOG.warning("%s", text)
+        noise = self.arm.estimator.noise_words
+        if noise is not None and not self._noise_said:
+            self._noise_said = True
+            LOG.warning("%s", noise)
+            self.bridge.say("the IMU is noisier than stated: see the log", True)
         counts = {
             "frames": result.frames,
             "with_pose": result.with_pose,
@@ -149,6 +167,7 @@ class Flight:
             "clock_offset_s": offset,
             "belief": belief,
             "alarms": alarms,
+            "setup": self.setup.status(),
             "counts": counts,
             "rates_hz": hz,
             "latency_ms": latency,
@@ -194,10 +213,6 @@ class Flight:
 
 
 def _nowhere(t_ns: int) -> PosePrior | None:
-    return None
-
-
-def _no_look(trace: Trace) -> None:
     return None
 
 

@@ -2,6 +2,7 @@
 
 from vio.health import Health, State
 from vio.mavlink.fields import INFO, WARNING, Outgoing, statustext
+from vio.setup_findings import SHORT
 
 _APART_NS = 1_000_000_000
 _SAY = {
@@ -23,6 +24,10 @@ _WHY = {
     "poses_rejected": "tags rejected",
     "innovation": "residuals large",
     "imu_gap": "IMU gap",
+    "imu_stalled": "IMU stalled",
+    "calibration_far": "calibration far off",
+    "begins_again": "beginning again",
+    **{f"setup_{code}": text for code, text in SHORT.items()},
 }
 
 
