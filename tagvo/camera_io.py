@@ -29,13 +29,14 @@ _COEFF_KEYS = ("distortion_coeffs", "distortion_coefficients")
 _POSE_KEYS = ("T_cam_imu", "T_imu_cam", "T_BS")  # the last two are camera -> body: inverted
 
 
-def load_camera(path: Path, name: str = "cam0") -> Camera:
+def load_camera(path: Path | str, name: str = "cam0") -> Camera:
     """Camera of a calibration file; CameraError names the file and the field that is wrong.
 
     Takes a Kalibr camchain (the camera called `name`; also OpenVINS's), one camera of it without
     the name above, a EuRoC sensor.yaml and a ROS CameraInfo. Without a pose R_CI, p_CI are
     the identity; without a time shift it is 0.
     """
+    path = Path(path)
     return camera_of(read_yaml(path, CameraError), path, name)
 
 

@@ -36,7 +36,7 @@ def test_a_run_leaves_both_trajectories_and_their_figures(autopilot, kind, tmp_p
     assert np.linalg.norm(q, axis=1) == pytest.approx(1.0)
     content = json.loads((out / "comparison.json").read_text())
     assert set(content["estimators"]) == {"vio", "fc"}
-    assert content["estimators"]["fc"]["now"]["position_rmse_m"] < 0.2
+    assert content["estimators"]["fc"]["now"]["position_rmse_m"] < 0.05
     assert content["frames"]["total"] == 40, "the last is known after the end"
     said = capsys.readouterr().out
     assert "poses of the autopilot" in said
