@@ -42,7 +42,7 @@ _COEFF_KEYS = ("distortion_coeffs", "distortion_coefficients")
 _POSE_KEYS = ("T_cam_imu", "T_imu_cam", "T_BS")  # the last two are camera -> body: inverted
 
 
-def load_camera(path: Path, name: str | None = None, topic: str | None = None) -> Camera:
+def load_camera(path: Path | str, name: str | None = None, topic: str | None = None) -> Camera:
     """Camera of a calibration file; CameraError names the file and the field that is wrong.
 
     Takes a Kalibr camchain (also OpenVINS's), one camera of it without the name above, a EuRoC
@@ -51,7 +51,7 @@ def load_camera(path: Path, name: str | None = None, topic: str | None = None) -
     of the images, None: not known; it picks the camera whose `rostopic` it is. Of several cameras
     none is taken unasked. Without a pose R_CI, p_CI are the identity; without a time shift it is 0.
     """
-    file, of_path = named_camera(path)
+    file, of_path = named_camera(Path(path))
     name = name or of_path
     return camera_of(calibration_data(file, name), file, name, topic)
 

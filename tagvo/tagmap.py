@@ -120,9 +120,9 @@ class TagMap:
         )
 
 
-def load_map(path: Path) -> TagMap:
+def load_map(path: Path | str) -> TagMap:
     """Tag map of a `tagmap.yaml`; MapError where the file cannot be read or used."""
-    return map_from_dict(read_yaml(path, MapError), str(path))
+    return map_from_dict(read_yaml(Path(path), MapError), str(path))
 
 
 def map_from_dict(data: dict[str, Any], where: str) -> TagMap:

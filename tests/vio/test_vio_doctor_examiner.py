@@ -222,3 +222,20 @@ def test_a_walk_with_the_estimate_and_the_poses_sent():
     (only,) = walk.judge()
     assert only.code == "axis_yaw"
     assert only.what.startswith(SENT)
+
+
+def test_our_own_daemon_is_no_second_answerer():
+    clinic = Clinic(Px4)
+    clinic.talk(lambda now: m.MAVLink_timesync_message(now, 5), component=197)
+    clinic.talk(lambda now: m.MAVLink_timesync_message(now, 5), component=240)
+    assert clinic.examined().responders == ("1/240",)
+
+
+@pytest.mark.parametrize(("yaw", "p", "differs"), [(0.0, (0, 0, 0), False), (1.6, (0, 0, 0), True),
+                                                   (0.0, (0, 0, 9), True)])  # fmt: skip
+def test_it_finds_that_the_autopilot_does_not_believe_the_poses(yaw, p, differs):
+    clinic = Clinic(Px4, seconds=9.0)
+    clinic.fc.local = lambda: np.zeros(3)
+    clinic.fc.COMPASS = True
+    clinic.talk(lambda now: vision(now, p=p, yaw=yaw), component=197)
+    assert ("belief" in clinic.found()) is differs

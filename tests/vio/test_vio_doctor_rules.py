@@ -238,3 +238,38 @@ def test_the_worst_comes_first():
     order = [one.severity.value for one in doctor.check(facts(AP, params=params))]
     assert order == sorted(order, key=["error", "warning", "info"].index)
     assert set(order) == {"error", "warning", "info"}
+
+
+def test_a_starved_doctor_is_told_from_old_poses():
+    ages, slow = (60.0, 90.0, 251.0), tuple([6.0] * 18 + [196.0] * 2)
+    starved = found(facts(AP, rtts_ms=slow, vision=replace(SEEN, ages_ms=ages)))
+    assert "vision_late" not in starved
+    assert starved["doctor_starved"].severity == "warning"
+    old = found(facts(AP, rtts_ms=(6.0, 7.0, 6.5), vision=replace(SEEN, ages_ms=ages)))
+    assert "vision_late" in old
+    assert "doctor_starved" not in old
+
+
+def test_an_autopilot_that_signs_is_one_word():
+    deaf = found(facts(AP, signed=True, rtts_ms=(), params={}, complete=False))
+    assert deaf["signing"].severity == "error"
+    assert "mavlink.signing.key_file" in deaf["signing"].do
+    assert not {"parameters", "timesync_no_answer"} & set(deaf)
+    assert "signing" not in found(facts(AP, signed=True)), "it answers: all is well"
+
+
+@pytest.mark.parametrize("autopilot", [AP, PX])
+def test_what_the_autopilot_believes_otherwise_is_an_error(autopilot):
+    said = "autopilot differs: yaw by 90 deg"
+    one = found(facts(autopilot, belief=said))["belief"]
+    assert one.severity == "error"
+    assert "yaw by 90 deg" in one.what
+    assert ("EK3_SRC1_YAW" in one.do) is (autopilot == AP)
+    assert "belief" not in found(facts(autopilot))
+
+
+def test_px4s_delay_is_0_once_timesync_is_answered_and_ardupilot_hears_nothing_of_px4():
+    nothing = facts(PX, vision=None)
+    assert "EKF2_EV_DELAY is 0 once TIMESYNC is answered" in words(delay(nothing))
+    two = found(facts(AP, responders=("1/191",)))["two_responders"]
+    assert "PX4" not in two.what + two.why + two.do

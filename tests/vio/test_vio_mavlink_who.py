@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from fc_live import free_port, until
 from fc_world import health
 from pymavlink.dialects.v20 import ardupilotmega as m
 
+import tagvo
 from vio.errors import LinkError
 from vio.mavlink.binding import Binding, Claim
 from vio.mavlink.bridge import Bridge, now_ns
@@ -252,3 +254,19 @@ def test_an_autopilot_that_signs_and_answers_nothing_is_named_by_the_daemon(flyi
     companion.due(start + 3 * S + 200 * MS)
     assert "mavlink.signing.key_file" in companion.alarms["signing"]
     assert mavlink.MAVLINK_IFLAG_SIGNED == 1
+
+
+# the unit that restarts the daemon in the air
+
+
+def test_a_crash_loop_is_never_given_up_and_waits_for_no_compiler():
+    unit = (Path(__file__).parents[2] / "tools/tagvio.service").read_text()
+    lines = unit.splitlines()
+    assert {"RestartSec=0.2", "StartLimitIntervalSec=0", "Restart=always"} <= set(lines)
+    assert not [line for line in lines if line.startswith("ExecStartPre")]
+
+
+def test_cameras_and_maps_load_by_a_name_as_by_a_path():
+    configs = Path(__file__).parents[2] / "configs"
+    assert tagvo.load_camera(str(configs / "cameras/arena.yaml")).resolution == (640, 480)
+    assert len(tagvo.load_map(str(configs / "maps/arena.yaml")).tag_id) > 0

@@ -176,3 +176,15 @@ def test_a_state_is_one_json_line_with_all_that_must_be_there():
     R = geo.matrix_from_quat(np.array(said["quaternion"]))
     assert R[2, 2] > 0.9, "the body's down is down"
     assert (FLIP == [1, -1, -1]).all()
+
+
+def test_fc_is_judged_from_the_first_pose_sent():
+    """PX4 is 5227 km away before: the origin of its own place on earth has moved."""
+    rows, angles = [], []
+    for k in range(100):
+        far = 5e6 if k < 60 else 0.0
+        rows.append(Said(k * 20 * MS, k * 20 * MS, (far, 0.0, 0.0, 0.0, 0.0, 0.0)))
+        angles.append(Said(k * 20 * MS, k * 20 * MS, (0.0, 0.0, 0.0)))
+    fc = fc_trajectory(rows, angles, [Sent(60 * 20 * MS, np.eye(3))], np.eye(3), np.eye(3))
+    assert len(fc) == 40
+    np.testing.assert_allclose(fc.p_WI, 0.0)

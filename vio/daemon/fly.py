@@ -55,10 +55,11 @@ def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | Non
     """
     parts, bridge, open_it = check(config, path)
     where = path.parent
-    warm_all(parts.tag_map, parts.camera, config.tagvo, config.vio)
-    _settle()
     systemd = Systemd()
+    sys.setswitchinterval(_SWITCH_S)  # the link answers TIMESYNC while compiled code is loaded
     with _link(bridge):
+        warm_all(parts.tag_map, parts.camera, config.tagvo, config.vio)
+        _settle()
         systemd.tell("READY=1", "STATUS=waiting for the flight controller")
         if not _met(bridge, config.daemon.vehicle_wait_s, stop, systemd):
             return None

@@ -215,4 +215,11 @@ def _frames(f: Facts, frames: frozenset[tuple[int, int]]) -> list[Finding]:
     return []
 
 
-RULES: tuple[Callable[[Facts], list[Finding]], ...] = (imu, filter_flags, origin, texts, vision)
+RULES: tuple[Callable[[Facts], list[Finding]], ...] = (
+    imu,
+    belief,
+    filter_flags,
+    origin,
+    texts,
+    vision,
+)

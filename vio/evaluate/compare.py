@@ -174,8 +174,9 @@ def table(content: Mapping[str, Any]) -> Table:
 
     title = f"against truth, align {content['align']}; * the better in its view"
     out = Table(title=title, box=SIMPLE_HEAD, padding=(0, 0, 0, 1), pad_edge=False)
-    out.add_column("", no_wrap=True)
-    out.add_column("view", no_wrap=True)
+    names = [name for name, _, _ in rows(content, _NARROW)]
+    out.add_column("", no_wrap=True, min_width=max(map(len, names), default=0))
+    out.add_column("view", no_wrap=True, min_width=len("capture"))
     for column in _NARROW:
         out.add_column(column.title.replace(" ", "\n"), justify="right", no_wrap=True)
     for name, view, cells in rows(content, _NARROW):
@@ -184,9 +185,14 @@ def table(content: Mapping[str, Any]) -> Table:
     return out
 
 
+_WIDEST = 99_999.5  # longer figures would push the names off 80 columns
+
+
 def _text(value: float | None, column: Column) -> str:
     if value is None:
         return "-"
     shown = value * column.factor
+    if shown >= _WIDEST:
+        return f"{shown:.0e}"
     digits = column.digits if shown < 100.0 else max(0, column.digits - 1)
     return f"{shown:.{digits}f}"

@@ -49,9 +49,12 @@ def fc_trajectory(
 ) -> Trajectory:
     """`fc`: the body, which is put at I, as I in W; rows without an attitude near them fall out.
 
+    It is judged from the first pose sent on: before, the autopilot had no place in the map.
     Positions are brought back as ours were sent, for the autopilot took them from us; attitudes by
     R_NW, true to gravity, for that it knows by itself.
     """
+    if sent:
+        positions = [row for row in positions if row.arrival_ns >= sent[0].since_ns]
     if not positions or len(attitudes) < 2:
         return _trajectory(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6)),
                            np.zeros((0, 3, 3)))  # fmt: skip

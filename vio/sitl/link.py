@@ -79,7 +79,8 @@ class SimLink:
         levelling, heading = self.companion.resets.levelling, self.companion.heading.rad
         if levelling is not None and heading is not None:
             R_NW = ned_from_level(heading) @ levelling.R_LW
-            if not self.sent or not np.array_equal(self.sent[-1].R_NW, R_NW):
+            begins = bool(out) and not self.sent
+            if begins or (self.sent and not np.array_equal(self.sent[-1].R_NW, R_NW)):
                 self.sent.append(Sent(now_ns, R_NW))
         self._send(out)
 

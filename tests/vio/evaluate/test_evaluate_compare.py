@@ -165,3 +165,14 @@ def test_importing_the_judges_loads_nothing_heavy():
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e3, 5e6, 1e9])
+def test_the_table_keeps_its_names_at_80_columns_however_wrong_an_estimate_is(two, size):
+    far = dataclasses.replace(two[1], name="fc", p_WI=two[1].p_WI + size)
+    text = shown(compare([two[0], far]))
+    lines = text.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "\u2026" not in text
+    assert sum("capture" in line for line in lines) == 2
+    assert sum(line.strip().startswith("fc ") for line in lines) == 2
