@@ -74,9 +74,9 @@ class Track:
     estimator: Estimator
 
 
-def replay(flown, config=None, camera=CAMERA, every=4):
+def replay(flown, config=None, camera=CAMERA, every=4, tag_map=None):
     """The flight through a new filter; errors at every fourth output."""
-    estimator = Estimator(config or VioConfig(), camera, PIXHAWK)
+    estimator = Estimator(config or VioConfig(), camera, PIXHAWK, tag_map)
     out, states, reasons, count = [], [], [], 0
     for what in events(flown):
         nav = feed(estimator, what)

@@ -345,3 +345,50 @@ def test_samples_that_are_no_numbers_are_counted_and_survived(flying, tmp_path):
     summary = summary_of(log, tmp_path / "out")
     assert summary["states"]["TRACKING"] > 400
     assert any("imu" in cause and n >= 15 for cause, n in summary["counters"].items())
+
+
+SETUP_WRONG = {  # what the IMU says wrongly -> code, words on stderr
+    "microseconds": ("stamp_unit", "nanoseconds are needed"),
+    "no force": ("no_specific_force", "no specific force"),
+}
+
+
+def rescaled(log, divisor):
+    """Every stamp of a log's CSV files divided."""
+    for file in log.glob("mav0/*/*.csv"):
+        head, *rows = file.read_text().splitlines()
+        arrival = [k for k, name in enumerate(head.split(",")) if name.strip() == "arrival_ns"]
+        out = [head]
+        for row in rows:
+            cells = row.split(",")
+            for k in (0, *arrival):
+                cells[k] = str(int(cells[k]) // divisor)
+            out.append(",".join(cells))
+        file.write_text("\n".join(out) + "\n")
+
+
+@pytest.mark.parametrize("command", ["run", "compare"])
+@pytest.mark.parametrize("mistake", SETUP_WRONG)
+def test_a_set_up_that_is_wrong_beyond_doubt_ends_the_run(flying, tmp_path, mistake, command):
+    code, words = SETUP_WRONG[mistake]
+
+    def weightless(i, t_ns, values, arrival):
+        return t_ns, np.append(values[:3], np.zeros(3)), arrival
+
+    if mistake == "no force":
+        log = edited_imu(flying, tmp_path, weightless)
+    else:
+        log = tmp_path / "log"
+        shutil.copytree(flying, log)
+        rescaled(log, 1000)
+    out = tmp_path / "out"
+    done = tagvio(command, log, "--out", out)
+    assert done.code == 1, done
+    errors = [line for line in done.err.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1
+    assert words in errors[0]
+    found = json.loads((out / "run.json").read_text())["setup"]
+    assert [(f["code"], f["certain"]) for f in found] == [(code, True)]
+    assert set(found[0]) == {"code", "text", "value", "certain"}
+    if code == "no_specific_force" and command == "run":
+        assert tagvio(command, log, "--out", out, "--force").code == 0
