@@ -49,7 +49,10 @@ def command(
         blackout, latency,
     )  # fmt: skip
     done = replay_log(choice, vo_arms, vo_only=vo_only, force=force, view=(live, mcap))
-    done.result.outputs.update({n: [] for n in ("vo", "vo_fir") if n not in done.result.outputs})
+    if done.refused and not done.result.frames:
+        write_json(out / "run.json", run_summary(done))
+        opt.echo_setup(done.setup, done.refused)
+        raise typer.Exit(1)
     name = "vo" if done.config.tagvo.fir == "none" else "vo_fir"
     write_tum(out / "vo.tum", *tum_rows(trajectory(name, done.result.outputs[name])))
     files = [out / "vo.tum"]
