@@ -1,5 +1,6 @@
 """README tells the truth: its commands run, its options exist, its Python works, its links lead."""
 
+import json
 import os
 import re
 import shlex
@@ -54,11 +55,41 @@ def clone(tmp_path_factory):
     return folder
 
 
+def check_demo(folder, output):
+    """What `tagvio demo --quick` leaves and says."""
+    from vio.sources.log import FlightLog
+
+    log = FlightLog.open(folder / "log")
+    assert (log.frame_count, len(log.truth), log.warnings) == (61, 401, [])
+    rms = {}
+    for name in ("new", "joint"):
+        content = json.loads((folder / name / "comparison.json").read_text())
+        assert (content["frames"]["total"], content["frames"]["with_pose"]) == (61, 61)
+        rms[name] = content["estimators"]["vo"]["capture"]["position_rmse_m"]
+        assert content["estimators"]["vo"]["capture"]["coverage"] == 1.0
+        for file in ("report.html", "run.json", "vo.tum"):
+            assert (folder / name / file).stat().st_size > 100
+        assert json.loads((folder / name / "run.json").read_text())["setup"] == []
+    assert rms["joint"] < rms["new"] < 0.02
+    held, live = (content["estimators"][name]["now"] for name in ("vo", "vio"))
+    assert content["frames"]["fused"] > 50
+    assert live["coverage"] > 0.8
+    assert live["position_rmse_m"] < 0.5 * held["position_rmse_m"]
+    assert 0.02 < live["nees_pose"] < 3.0
+    first, second = output.strip().splitlines()[-2:]
+    assert f"the joint pose is {1e3 * rms['joint']:.1f} mm" in first
+    assert f"the paper's {1e3 * rms['new']:.1f} mm" in first
+    assert f"the last joint pose held is {1e3 * held['position_rmse_m']:.1f} mm" in second
+    assert f"the filter (vio) {1e3 * live['position_rmse_m']:.1f} mm" in second
+
+
 def test_commands_run_one_after_the_other(clone):
     calls = tagvio_calls(console_lines())
     assert len(calls) >= 8
     for words in calls:
         out = run([*words, "--quick"] if words[0] == "demo" else words, clone)
+        if words[0] == "demo":
+            check_demo(clone / "demo", out)
         if words[:2] == ["map", "check"]:
             assert out in README, "README shows another output of `map check`"
     files = ("demo/joint/report.html", "out/vo.tum", "out/comparison.json", "map.png", "hall.pdf")

@@ -3,7 +3,7 @@
 
     python tools/setup_study.py wrong [--seed 1]            nine mistakes in a simulated t1_qr
     python tools/setup_study.py right [--seeds 20]          t1_qr, t2_qr, t3_qr, seed after seed
-    python tools/setup_study.py real                        real logs with IMU (TAGVIO_DATA)
+    python tools/setup_study.py real                        real logs (TAGVIO_DATA)
 
 `wrong`: finding, share of IMU samples in TRACKING and NEES per dof there, the run forced to its
 end; `right` and `real`: the findings, none of which should be. Exit 1 where it is otherwise.
@@ -28,7 +28,7 @@ from vio.sim.recording import simulated
 from vio.sim.scenario import load_scenario, scenario_yaml
 
 RIGHT = ("t1_qr", "t2_qr", "t3_qr")
-REAL = ("euroc_imu_april",)
+REAL = ("euroc_imu_april", "tagslam_aviary", "tagslam_line5")  # the last two: sizes alone
 
 
 def flight(name, seed, folder):

@@ -153,12 +153,11 @@ def enough(turns: Turns, rig: StatedRig) -> bool:
     half = len(turns.a_s) // 2
     if half < 10:
         return False
+    parts = slice(0, half), slice(half, None)
+    if not all(turning(turns.phi_C[rows])[1] > _ENOUGH_RAD for rows in parts):
+        return False  # at rest the gyro need not be looked at
     phi_I = imu_turns(turns, np.array([rig.offset_s]))[0]
-    return all(
-        turning(phi[rows])[1] > _ENOUGH_RAD
-        for phi in (phi_I, turns.phi_C)
-        for rows in (slice(0, half), slice(half, None))
-    )
+    return all(turning(phi_I[rows])[1] > _ENOUGH_RAD for rows in parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

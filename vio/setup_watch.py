@@ -19,6 +19,7 @@ from vio.setup_findings import Finding
 
 _PAIR_NS, _LONGEST_NS = 180_000_000, 450_000_000  # between two frames: VO's noise against turning
 _SPAN_NS = 20_000_000_000  # that is looked at, once it turns enough
+_LEAST_TAGS = 2  # one alone may lie in its other planar solution, for as long as it is looked at
 _EVERY = 20  # pairs between two looks
 _MOST_PAIRS = 170  # half a minute
 _GAP_NS = 80_000_000  # frames for the tags' sizes
@@ -134,6 +135,8 @@ class SetupWatch:
             self._pairs.clear()
             return
         if trace.pose is None or "ambiguous" in trace.pose.flags:
+            return
+        if len(trace.pose.tag_ids) < _LEAST_TAGS:
             return
         pose, before = trace.pose, self._before
         if before is not None and 0 < pose.t_ns - before.t_ns < _PAIR_NS:

@@ -109,7 +109,10 @@ def judge(folder, force=True):
                 R = geo.matrix_from_quat(truth.q_WI[i])
                 errors.append((np.r_[out.p_WI - truth.p_WI[i], geo.log(R.T @ out.R_WI)], out.cov))
 
-    run(log.events(), vo, [arm], Stopwatch(), sinks=[Keep()], look=watch.look,
+    with_imu = log.imu is not None
+    watch = watch if with_imu else SetupWatch(log.camera, log.tag_map, with_imu=False)
+    arms = [arm] if with_imu else []
+    run(log.events(), vo, arms, Stopwatch(), sinks=[Keep()], look=watch.look,
         stop=lambda: watch.certain and not force)  # fmt: skip
     watch.settle()
     nees = [float(e @ np.linalg.solve(P, e)) / 6.0 for e, P in errors]
