@@ -1,7 +1,7 @@
 """Lets only pages of known origin at the live view: a small proxy before the Foxglove server.
 
-A web page that a person visits may open ws://127.0.0.1 behind their back; the browser's `Origin` says
-which page asks. The SDK's server does not look at it, so it listens at a loopback address that
+A web page that a person visits may open ws://127.0.0.1 behind their back; the browser's `Origin`
+says which page asks. The SDK's server does not look at it, so it listens at a loopback address that
 nobody can guess, and this proxy looks before it connects the two.
 """
 
