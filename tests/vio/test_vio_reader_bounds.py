@@ -444,4 +444,3 @@ def test_strange_tags_are_told_once_and_only_where_they_matter():
     for _ in range(5):
         seen.take(twice, {"not_on_map": 2, "duplicate": 2}, tag_map)
     assert any("seen twice in a frame" in line for line in seen.words(tag_map, 99))
-    assert geo
