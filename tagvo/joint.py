@@ -17,7 +17,6 @@ from tagvo.information import SYSTEMATIC, TagBatch, systematic_rows, tag_rows
 
 _DECISIVE = 9.0  # in minus twice the log-likelihood
 _FEWEST_FOR_SHARE = 5
-_ALONE = 100.0  # times the robust limit: residuals of ten times as many sigma
 
 
 class JointConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
@@ -175,18 +174,9 @@ def _misfit(chi2: Array, weight: Array) -> float:
 def solve_joint(R_WC: Array, p_WC: Array, tags: TagBatch, config: JointConfig) -> JointPose:
     """Joint pose of the camera from all corners of n tags, from a starting pose (3, 3), (3,).
 
-    A robust loss tells the one of many that is wrong; a lone tag that misfits (a bent print, a
-    blurred corner) has nobody to differ from, so it is fitted by least squares up to ten times the
-    residuals, and the misfit goes into the covariance.
-
     Raises nothing: a failed solution has `converged` False, cost inf and a covariance of NaN.
     """
-    limit = config.robust_chi2
     R, p, cov, chi2, weight, cost, converged, share = _solve(
-        R_WC, p_WC, tags, limit, config.max_steps, config.laying_evidence
+        R_WC, p_WC, tags, config.robust_chi2, config.max_steps, config.laying_evidence
     )
-    if len(weight) == 1 and weight[0] < config.reject_weight:
-        R, p, cov, chi2, weight, cost, converged, share = _solve(
-            R_WC, p_WC, tags, _ALONE * limit, config.max_steps, config.laying_evidence
-        )
     return JointPose(p, R, cov, chi2, weight, cost, converged, share)
