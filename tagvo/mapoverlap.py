@@ -7,7 +7,7 @@ import numpy as np
 from tagvo.geometry import Array, IntArray
 
 _AT_ONCE = 1_000_000  # pairs: 0.1 GB of intermediates
-_ENOUGH = 100_000  # pairs that overlap: nobody reads on
+_ENOUGH = 20_000  # pairs that overlap: nobody reads on
 _SAME_PLANE_DEG = 5.0  # tags whose faces differ by more do not lie on one surface
 _SAME_PLANE_M = 0.005  # ... nor those this far apart along the face, beyond what laying explains
 
@@ -46,7 +46,7 @@ def pairs_in_one_plane(s: Squares) -> tuple[IntArray, IntArray]:
         found += len(i)
         if found > _ENOUGH:
             break
-    return np.concatenate(found_i), np.concatenate(found_j)
+    return np.concatenate(found_i)[:_ENOUGH], np.concatenate(found_j)[:_ENOUGH]
 
 
 def _in_one_plane(s: Squares, radius: Array, i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:

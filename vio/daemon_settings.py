@@ -1,6 +1,6 @@
 """What can be set about the daemon: what it flies with, its camera, its recording, its status."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -30,12 +30,20 @@ class RecordConfig(_Model):
     min_free_mb: float = Field(default=200.0, ge=0.0)
 
 
+ORIGINS = ("https://app.foxglove.dev", "desktop", "localhost")
+
+
 class LiveConfig(_Model):
-    """The live view; port null: no server, mcap null: no file."""
+    """The live view; port null: no server, mcap null: no file.
+
+    origins: of the web pages that may connect; `desktop`: programs that are no page, `localhost`:
+    pages of this machine, `*`: all.
+    """
 
     port: int | None = Field(default=None, ge=0, le=65535)
     host: str = "127.0.0.1"
     mcap: str | None = None
+    origins: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = ORIGINS
 
 
 class DaemonConfig(_Model):

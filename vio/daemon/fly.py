@@ -137,7 +137,7 @@ def _view(flight: Flight, parts: Parts, where: Path, epoch_ns: int) -> LiveView 
         view = LiveView(
             parts.tag_map, parts.camera, port=live.port, host=live.host, mcap=file,
             arm=flight.arm, reject_weight=parts.config.tagvo.joint.reject_weight,
-            epoch_ns=epoch_ns,
+            epoch_ns=epoch_ns, origins=live.origins,
         )  # fmt: skip
     except (VioError, OSError) as err:
         LOG.warning("%s; this flight is flown without it", err)

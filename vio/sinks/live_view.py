@@ -8,6 +8,7 @@ import contextlib
 import logging
 import threading
 from collections import Counter, deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,8 +22,10 @@ from tagvo.pipeline import Trace
 from tagvo.records import Frame, Observations
 from tagvo.tagmap import TagMap
 from vio.arms import Output
+from vio.daemon_settings import ORIGINS
 from vio.errors import VioError
 from vio.health import Health
+from vio.sinks.origins import OriginProxy, hidden_host
 
 LOG = logging.getLogger("vio.sinks.live")
 _FRAME_NS, _STATE_NS, _AGAIN_NS = 200_000_000, 50_000_000, 5_000_000_000
@@ -65,12 +68,14 @@ class LiveView:
         reject_weight: float = JointConfig().reject_weight,
         lossless: bool = False,
         epoch_ns: int = 0,
+        origins: Sequence[str] = ORIGINS,
     ) -> None:
         """port: of the server, 0: any free one, None: no server; mcap: a file not there yet.
 
         arm: the filter's (`VioArm`), asked for its prior and health; reject_weight: below it the
         joint pose has rejected a tag (tagvo.joint.reject_weight); lossless: let a run wait for
-        the file rather than drop; epoch_ns: added to stamps to make them times of day. VioError
+        the file rather than drop; epoch_ns: added to stamps to make them times of day; origins: of
+        the pages that may look (`vio.sinks.origins`). VioError
         where the port is in use, the file is there or foxglove-sdk is not installed.
         """
         try:
@@ -82,15 +87,25 @@ class LiveView:
         self.counters: Counter[str] = Counter()
         self._context = foxglove.Context()
         self._server = self._file = None
+        self._door: OriginProxy | None = None
         try:
             if mcap is not None:
                 mcap.parent.mkdir(parents=True, exist_ok=True)
                 self._file = foxglove.open_mcap(str(mcap), context=self._context)
             if port is not None:
+                inner = hidden_host()
                 self._server = foxglove.start_server(
-                    name="tagvio", host=host, port=port, context=self._context,
+                    name="tagvio", host=inner, port=0, context=self._context,
                     message_backlog_size=64,
                 )  # fmt: skip
+                self._door = OriginProxy(host, port, (inner, int(self._server.port)), origins)
+                self.counters = self._door.counters
+        except VioError:
+            if self._server is not None:
+                self._server.stop()
+            if self._file is not None:
+                self._file.close()
+            raise
         except (OSError, RuntimeError, ValueError) as err:
             what = f"{mcap}" if mcap is not None and self._file is None else f"{host}:{port}"
             if self._file is not None:
@@ -114,7 +129,7 @@ class LiveView:
     @property
     def port(self) -> int | None:
         """Where the server listens; None: there is none."""
-        return None if self._server is None else int(self._server.port)
+        return None if self._door is None else self._door.port
 
     # what the flight puts down
 
@@ -259,6 +274,8 @@ class LiveView:
             self._ending = True
             self._more.notify_all()
         self._thread.join(_PATIENCE_S)
+        if self._door is not None:
+            self._door.close()
         if self._server is not None:  # it waits for clients, and one that has stalled never goes
             stopper = threading.Thread(target=self._server.stop, name="live end", daemon=True)
             stopper.start()

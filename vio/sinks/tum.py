@@ -51,6 +51,6 @@ def read_tum(path: Path) -> tuple[IntArray, Array, Array]:
 def _nanoseconds(text: str) -> int:
     """Whole nanoseconds of seconds in decimal text, never through a float."""
     value = Decimal(text)
-    if not value.is_finite() or abs(value) * 10**9 >= _MAX_NS:
+    if not value.is_finite() or value.adjusted() > 18 or abs(value) * 10**9 >= _MAX_NS:
         raise ValueError(text)
     return int((value * 10**9).to_integral_value())

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tagvo.geometry import Array
-from vio.clock import Stamped, stamp
+from vio.clock import Stamped, stamp, to_theirs
 from vio.frames import FLIP
 from vio.mavlink.companion import Companion
 from vio.mavlink.fields import ARDUPILOT, PX4
@@ -18,6 +18,7 @@ LOG = logging.getLogger("vio.sources.live_imu")
 _MILLI_G = 9.80665e-3  # [m/s^2]
 _MILLI_RAD = 1e-3
 _AGE_NS, _AHEAD_NS = 1_000_000_000, 100_000_000  # of a stamp against its arrival
+_BOOT_WRAP_NS = (1 << 32) * 1_000_000  # time_boot_ms has 32 bits
 _QUIET_NS = 5_000_000_000
 _TRAPS = {
     (ARDUPILOT, "HIGHRES_IMU"): "ArduPilot stamps HIGHRES_IMU when it sends, not when it samples,"
@@ -54,6 +55,11 @@ def body_frd(message: Any) -> tuple[Array, Array, int]:
     return gyro * _MILLI_RAD, accel * _MILLI_G, ns
 
 
+def unwrapped(stamp_ns: int, near_ns: int) -> int:
+    """A stamp of time_boot_ms, which wraps after 49.7 days, near a time of the same clock [ns]."""
+    return stamp_ns + round((near_ns - stamp_ns) / _BOOT_WRAP_NS) * _BOOT_WRAP_NS
+
+
 class MavlinkImu:
     """Listens to a link and hands on samples; `counters` says what became of the others.
 
@@ -83,6 +89,8 @@ class MavlinkImu:
             self.counters["imu_clock_unknown"] += 1
             return
         gyro_F, accel_F, their_ns = body_frd(message)
+        if self._name.startswith("SCALED_IMU"):
+            their_ns = unwrapped(their_ns, to_theirs(track, arrival_ns))
         stamped = stamp(self._before, track, their_ns)
         if not -_AHEAD_NS <= arrival_ns - stamped.our_ns <= _AGE_NS:
             self._off_clock(arrival_ns - stamped.our_ns, arrival_ns)

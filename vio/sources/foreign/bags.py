@@ -2,16 +2,17 @@
 
 import sqlite3
 import struct
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from tagvo.camera import Camera
 from tagvo.camera_io import camera_of
+from tagvo.errors import shown
 from tagvo.geometry import Array, IntArray
 from tagvo.records import Detections, Frame
 from vio.errors import LogError, VioError
@@ -31,6 +32,7 @@ from vio.sources.foreign.topics import COMPRESSED, Topic, choose, is_rectified
 from vio.sources.tally import Tally
 
 _SAME_CLOCK_NS = 2_000_000_000  # recorded within so much of its stamp: the same clock
+T = TypeVar("T")
 _LATEST_NS = 2**62  # differences of stamps must fit in int64
 _MARK = 200  # messages whose lag is looked at for that
 _BROKEN = (ValueError, KeyError, IndexError, AttributeError, struct.error, sqlite3.Error,
@@ -126,8 +128,12 @@ class _Bag:
         self._lags: list[int] = []
         self.family = ""
 
-    def messages(self, what: str) -> Iterator[tuple[int, Any]]:
-        """Time of recording [ns] and message; ends, counted, where the bag is broken."""
+    def messages(self, what: str, values: Callable[[Any], T]) -> Iterator[tuple[int, T]]:
+        """Time of recording [ns] and the values of each message; ends where the bag is broken.
+
+        A bag brings the definitions of its messages: any field may be missing or of another type.
+        Both are counted.
+        """
         topic = self._chosen.get(what)
         if topic is None:
             return
@@ -145,7 +151,8 @@ class _Bag:
                 return
             try:
                 message = self._reader.deserialize(raw, connection.msgtype)
-            except Exception as err:
+                stamp, found = stamp_ns(message), values(message)
+            except Exception as err:  # of a decoder, or of a message of other fields
                 text = f"{self._path}: a message of {topic.name} is broken ({said(err)})"
                 self._tally.count("bag_message_broken", text)
                 continue
@@ -154,13 +161,13 @@ class _Bag:
                 self._tally.count("bag_message_broken", text)
                 continue
             if len(self._lags) < _MARK and what in ("imu", "image", "detections"):
-                self._lags.append(recorded_ns - stamp_ns(message))
-            yield int(recorded_ns), message
+                self._lags.append(recorded_ns - stamp)
+            yield int(recorded_ns), found
 
     def same_clock(self) -> bool:
         """Whether times of recording and stamps are of one clock, as far as was read."""
         if not self._lags:
-            next(self.messages("image"), None)
+            next(self.messages("image", stamp_ns), None)
         return not self._lags or abs(float(np.median(self._lags))) < _SAME_CLOCK_NS
 
     def imu(self, notes: list[str]) -> ImuTrack | None:
@@ -182,22 +189,24 @@ class _Bag:
         return None
 
     def _imu_of(self, what: str) -> ImuTrack | None:
-        rows = [(stamp_ns(m), ns, *imu_values(m)) for ns, m in self.messages(what)]
+        rows = list(self.messages(what, lambda m: (stamp_ns(m), *imu_values(m))))
         if not rows:
             return None
-        t_ns, known_ns, gyro, accel = zip(*rows, strict=True)
+        known_ns, samples = zip(*rows, strict=True)
+        t_ns, gyro, accel = zip(*samples, strict=True)
         return ImuTrack(_whole(t_ns), np.stack(gyro), np.stack(accel), _whole(known_ns))
 
     def truth(self) -> Truth | None:
         topic = self._chosen.get("truth")
         if topic is None:
             return None
-        rows = [(stamp_ns(m), *pose_values(m, topic.type)) for _, m in self.messages("truth")]
-        return truth_of(rows, self._path, self._tally)
+        kind = topic.type
+        rows = self.messages("truth", lambda m: (stamp_ns(m), *pose_values(m, kind)))
+        return truth_of([row for _, row in rows], self._path, self._tally)
 
     def camera(self, rectified: bool, notes: list[str]) -> Camera | None:
-        for _, message in self.messages("camera"):
-            data, topic = calibration(message, rectified), self._chosen["camera"].name
+        for _, data in self.messages("camera", lambda m: calibration(m, rectified)):
+            topic = self._chosen["camera"].name
             if data is not None:
                 return camera_of(data, Path(f"{self._path} {topic}"))
             notes.append(f"{self._path}: {topic} is not calibrated (K{' or P' * rectified} is 0):"
@@ -208,9 +217,10 @@ class _Bag:
     def tags(self) -> dict[int, tuple[int, Detections]]:
         """By stamp: when known, and the tags."""
         out = {}
-        for ns, message in self.messages("detections"):
-            out[stamp_ns(message)] = ns, tags_of(message)
-            self.family = self.family or family_of(message)
+        values = self.messages("detections", lambda m: (stamp_ns(m), tags_of(m), family_of(m)))
+        for ns, (t_ns, tags, family) in values:
+            out[t_ns] = ns, tags
+            self.family = self.family or family
         return out
 
 
@@ -260,19 +270,24 @@ def _reel(
 
     def frames() -> Iterator[Frame]:
         with _opened(path) as reader:
-            for ns, message in _Bag(path, reader, chosen, tally).messages("image"):
-                packed = chosen["image"].type == COMPRESSED
-                image = unpacked(message.data) if packed else picture(message)
-                t_ns = stamp_ns(message)
+            bag = _Bag(path, reader, chosen, tally)
+            packed = chosen["image"].type == COMPRESSED
+            for ns, (t_ns, image, encoding) in bag.messages("image", partial(_image, packed)):
                 if image is None:
-                    said = getattr(message, "encoding", getattr(message, "format", "?"))
-                    text = f"{path}: an image of encoding {said!r} cannot be read"
+                    text = f"{path}: an image of encoding {shown(encoding)} cannot be read"
                     tally.count("image_unreadable", f"{text}; {ENCODINGS}, JPEG or PNG can")
                     continue
                 _, found = tags.get(t_ns, (0, None))
                 yield Frame(t_ns, image, found, ns if late else None)
 
     return FrameReel(chosen["image"].count, frames)
+
+
+def _image(packed: bool, message: Any) -> tuple[int, Any, str]:
+    """Stamp [ns], grey image (None: it cannot be read) and encoding of an image message."""
+    if packed:
+        return stamp_ns(message), unpacked(message.data), str(message.format)
+    return stamp_ns(message), picture(message), str(message.encoding)
 
 
 def _at_stamps(track: ImuTrack) -> ImuTrack:

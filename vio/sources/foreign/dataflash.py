@@ -1,10 +1,6 @@
-"""ArduPilot's DataFlash log (.bin) by pymavlink: raw IMUs, and a simulator's truth."""
+"""ArduPilot's DataFlash log (.bin): raw IMUs, and a simulator's truth."""
 
-import io
-from collections.abc import Iterator
-from contextlib import redirect_stdout
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,7 +9,8 @@ from vio.errors import LogError
 from vio.frames import FLIP, enu_of_ned, flu_in_enu
 from vio.records import ImuTrack, Truth
 from vio.sources.foreign.attitude import between
-from vio.sources.foreign.records import Foreign, said
+from vio.sources.foreign.dataflash_file import Row, messages
+from vio.sources.foreign.records import Foreign
 from vio.sources.tally import Tally
 
 _FIELDS = {
@@ -25,8 +22,8 @@ _FIELDS = {
 }
 _NUMBERED = ("GYR", "ACC", "IMU")
 _WANTED = {*_FIELDS, *(f"{name}{i}" for name in _NUMBERED for i in range(1, 4))}
+_UNIT = 1e-2  # how far from 1 the norm of a logged quaternion may be
 _LARGEST = 2.0**52  # [us] 140 years; below, a float holds every microsecond
-_BINARY, _TEXT = b"\xa3\x95", b"FMT"
 _FILTERED = (
     "no GYR and ACC messages (INS_RAW_LOG_OPT or LOG_BITMASK's fast IMU), so IMU was taken:"
     " low-passed, and stamped when it was logged, some ms late"
@@ -56,11 +53,11 @@ def read_dataflash(path: Path, tally: Tally) -> Foreign:
 def _columns(path: Path, tally: Tally) -> dict[str, Array]:
     """Rows of each message type that we take, as written; (n, fields)."""
     out: dict[str, list[tuple[float, ...]]] = {name: [] for name in _FIELDS}
-    for message in _messages(path, tally):
-        kind, numbered = _kind_of(message.get_type())
+    for name, row in messages(path, _WANTED, tally):
+        kind, numbered = _kind_of(name)
         try:
-            out[kind].append(tuple(_value(message, key, numbered) for key in _FIELDS[kind]))
-        except (AttributeError, TypeError, ValueError, IndexError):
+            out[kind].append(tuple(_value(row, key, numbered) for key in _FIELDS[kind]))
+        except (KeyError, ValueError):
             tally.count("dataflash_fields", f"{path}: a {kind} without {', '.join(_FIELDS[kind])}")
     return {name: np.array(rows, dtype=float) for name, rows in out.items() if rows}
 
@@ -73,41 +70,12 @@ def _kind_of(name: str) -> tuple[str, int]:
     return stem, max(0, int(name[len(stem) :]) - 1)
 
 
-def _value(message: Any, key: str, numbered: int) -> float:
-    """A field as a whole number or a float; I, the instance, is in the name where no field is."""
-    value = getattr(message, key, numbered) if key == "I" else getattr(message, key)
-    number = float(value)
+def _value(row: Row, key: str, numbered: int) -> float:
+    """A field; I, the instance, is in the message's name where no field is."""
+    number = row.get(key, float(numbered)) if key == "I" else row[key]
     if not abs(number) < _LARGEST:
         raise ValueError(f"{key} is {number}")
     return number
-
-
-def _messages(path: Path, tally: Tally) -> Iterator[Any]:
-    from pymavlink.DFReader import DFReader_binary, DFReader_text
-
-    with path.open("rb") as file:
-        first = file.read(3)
-    if first[:2] != _BINARY and first != _TEXT:
-        raise LogError(f"{path}: not a DataFlash log; one starts with the bytes A3 95, or with FMT")
-    try:
-        text = first == _TEXT
-        with redirect_stdout(io.StringIO()):  # pymavlink prints what it passes over
-            reader = (DFReader_text if text else DFReader_binary)(str(path), zero_time_base=True)
-    except Exception as err:  # pymavlink raises a bare Exception for a format it does not know
-        raise LogError(f"{path}: not a DataFlash log that can be read ({said(err)})") from None
-    chatter = io.StringIO()
-    with reader:
-        while True:
-            try:
-                with redirect_stdout(chatter):
-                    message = reader.recv_match(type=_WANTED, strict=True)
-            except Exception as err:  # whatever a broken log makes of pymavlink
-                words = f"{path}: reading ends where it is broken ({said(err)})"
-                tally.count("dataflash_broken", words)
-                return
-            if message is None:
-                return
-            yield message
 
 
 def _raw_imus(
@@ -142,7 +110,13 @@ def _track(us: Array, gyro_F: Array, accel_F: Array) -> ImuTrack:
 def _truth(rows: dict[str, Array], imu: ImuTrack) -> Truth | None:
     """Positions of SIM2, attitudes of SIM carried between its few rows by the gyro."""
     moved, turned = rows.get("SIM2"), rows.get("SIM")
-    if moved is None or turned is None or len(turned) < 2:
+    if moved is None or turned is None:
+        return None
+    _, first = np.unique(turned[:, 0], return_index=True)
+    turned = turned[first]
+    norm = np.linalg.norm(turned[:, 1:5], axis=-1)
+    turned = turned[np.abs(norm - 1.0) < _UNIT]
+    if len(turned) < 2:
         return None
     t_ns, anchor_ns = _ns(moved[:, 0]), _ns(turned[:, 0])
     order = np.argsort(imu.t_ns, kind="stable")

@@ -8,14 +8,15 @@ import numpy as np
 from vio.errors import LogError
 from vio.frames import FLIP
 from vio.records import ImuTrack
-from vio.sources.foreign.records import Foreign
-from vio.sources.live_imu import body_frd
+from vio.sources.foreign.records import Foreign, said
+from vio.sources.live_imu import body_frd, unwrapped
 from vio.sources.tally import Tally
 
 NAME = "imu_mavlink"
 _MESSAGES = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")  # the first that is there is taken
 _AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 _PX4 = 12
+_LATEST_NS = 2**62  # differences of stamps must fit in int64
 _OTHER = 8  # MAV_AUTOPILOT_INVALID
 
 
@@ -32,6 +33,11 @@ def read_tlog(path: Path, tally: Tally) -> Foreign:
             autopilot = message.autopilot if message.autopilot != _OTHER else autopilot
             continue
         gyro_F, accel_F, t_ns = body_frd(message)
+        if not (0 <= t_ns < _LATEST_NS and 0 <= known_ns < _LATEST_NS):
+            tally.count("tlog_stamp", f"{path}: a {name} stamped {t_ns} ns, heard at {known_ns} ns")
+            continue
+        if name == "SCALED_IMU":
+            t_ns = unwrapped(t_ns, rows[name][-1][0]) if rows[name] else t_ns
         rows[name].append((t_ns, known_ns, np.concatenate([gyro_F * FLIP, accel_F * FLIP])))
     taken = next((name for name in _MESSAGES if rows[name]), None)
     if taken is None:
@@ -49,17 +55,25 @@ def read_tlog(path: Path, tally: Tally) -> Foreign:
     return Foreign({NAME: track}, {NAME: known_ns}, notes=(note,))
 
 
+def _next(link: Any, path: Path, tally: Tally) -> Any:
+    try:
+        return link.recv_msg()
+    except Exception as err:  # whatever a broken file makes of pymavlink
+        tally.count("tlog_broken", f"{path}: reading ends where it is broken ({said(err)})")
+        return None
+
+
 def _messages(path: Path, tally: Tally) -> Any:
     """Messages of the autopilot's own with the moment [ns] that each was heard."""
     from pymavlink import mavutil
 
     try:
         link = mavutil.mavlogfile(str(path), robust_parsing=True)
-    except (OSError, ValueError) as err:
-        raise LogError(f"{path}: not a MAVLink log that can be read ({err})") from None
+    except Exception as err:  # whatever a broken file makes of pymavlink
+        raise LogError(f"{path}: not a MAVLink log that can be read ({said(err)})") from None
     wanted = {*_MESSAGES, "HEARTBEAT"}
     try:
-        while (message := link.recv_msg()) is not None:
+        while (message := _next(link, path, tally)) is not None:
             name = message.get_type()
             if name == "BAD_DATA":
                 tally.count("tlog_broken", f"{path}: bytes that are no message")

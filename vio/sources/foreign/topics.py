@@ -57,7 +57,8 @@ def choose(
     chosen: dict[str, Topic] = {}
     words: list[str] = []
     for what, types in TYPES.items():
-        fit = [t for t in topics if t.type in types and t.count > 0]
+        there = [t for t in topics if t.type in types and t.count > 0]
+        fit = there
         name = named.get(what)
         if name == "none":
             continue
@@ -74,7 +75,7 @@ def choose(
         of = _parent(chosen["image"].name) if what == "camera" and "image" in chosen else ""
         best = max(fit, key=lambda t: (_parent(t.name) == of, *_likeness(what, t)))
         chosen[what] = best
-        rest = [t.name for t in fit if t is not best]
+        rest = [t.name for t in there if t is not best] if what != "accel" else []
         among = f", not {', '.join(rest)}" if rest else ""
         words.append(f"{where}: {what} is {best.name} ({best.type}, {best.count}){among};"
                      f" --topic {what}=NAME takes another, {what}=none nothing")  # fmt: skip
