@@ -22,6 +22,9 @@ _BUCKET_NS, _BUCKETS = 100_000_000, 10  # the last second
 _KNOWN = 20  # samples from which a second's spread is known
 
 
+NOTHING_HELD = np.zeros(6, dtype=bool)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Gated:
     """A sample fit to integrate; held (6,): axes whose value is the last good one, gyro first.
@@ -80,16 +83,22 @@ class SampleGate:
         self._spread = _Spread()
         self._waiting: list[tuple[ImuSample, Array, BoolArray]] = []
         self._good: Array = np.full(6, np.nan)
+        self._known = False  # whether every axis has had a good value
         self._good_ns = np.zeros(6, dtype=np.int64)
 
     def take(self, sample: ImuSample, six: Array) -> list[Gated]:
         """The samples to integrate now, in order; six (6,): its gyro and specific force."""
+        large = np.abs(six) > _LEAST
+        if not self._waiting and self._known and not large.any():  # as nearly all samples are
+            self._good, self._good_ns = six, np.full(6, sample.t_ns)
+            self._spread.add(sample.t_ns, six)
+            return [Gated(sample, NOTHING_HELD, self._good_ns)]
         beyond = np.abs(six) > self._range
         if beyond.any():
             self._counters["imu_beyond_range"] += 1
-        suspect = np.zeros(6, dtype=bool)
-        if (np.abs(six) > _LEAST).any():
-            suspect = ~beyond & (np.abs(six) > _LEAST) & self._spread.suspicious(six)
+        suspect = ~beyond & large
+        if suspect.any():
+            suspect &= self._spread.suspicious(six)
         if not suspect.any():
             out = [self._let_in(*one, spike=True) for one in self._waiting]
             self._waiting = []
@@ -112,11 +121,12 @@ class SampleGate:
             self._counters["imu_spikes"] += 1
         self._good = np.where(bad, self._good, six)
         self._good_ns = np.where(bad, self._good_ns, sample.t_ns)
-        if np.isnan(self._good).any():
+        self._known = not np.isnan(self._good).any()
+        if not self._known:
             return None
         if not bad.any():
             self._spread.add(sample.t_ns, six)
-            return Gated(sample, bad, self._good_ns)
+            return Gated(sample, NOTHING_HELD, self._good_ns)
         held = replace(sample, gyro_I=self._good[:3], accel_I=self._good[3:])
         return Gated(held, bad, self._good_ns)
 

@@ -5,8 +5,11 @@ samples and of means over four, white noise gives the same density; motion shows
 vibration more in the samples. So the smaller of the two is the density of what is white.
 """
 
+import math
+
 import numpy as np
 
+from tagvo.compiled import njit
 from tagvo.geometry import Array
 
 _BLOCK = 4  # samples in a mean: what is above a quarter of the rate averages out
@@ -36,6 +39,52 @@ def noise_words(measured: Array, stated: Array) -> str | None:
     )
 
 
+# rows of the meter's table, (ROWS, 6), gyro first
+LAST, MEAN = 0, 3  # the last three samples, and means over a block: newest third
+SUM, SCATTER, BLOCK, LONG, LARGEST = 6, 7, 8, 9, 10
+STATED2, SHARE, SCALE, CLOCK = 11, 12, 13, 14
+ROWS = 15
+SAMPLES, MEANS, SUMMED, LONG_S = 0, 1, 2, 3  # columns of row CLOCK
+
+
+@njit
+def follow(m: Array, six: Array, dt: float) -> None:
+    """Take a sample six (6,), dt [s] after the one before, into a meter's table m (ROWS, 6)."""
+    clock = m[CLOCK]
+    clock[SAMPLES] = min(clock[SAMPLES] + 1.0, 3.0)
+    clock[SUMMED] += 1.0
+    whole = clock[SUMMED] >= _BLOCK
+    if whole:
+        clock[MEANS] = min(clock[MEANS] + 1.0, 3.0)
+        clock[SUMMED] = 0.0
+    known = whole and clock[MEANS] >= 3.0
+    if known:
+        clock[LONG_S] += _BLOCK * dt
+    for i in range(6):
+        m[LAST, i], m[LAST + 1, i], m[LAST + 2, i] = m[LAST + 1, i], m[LAST + 2, i], six[i]
+        if clock[SAMPLES] >= 3.0:
+            second = m[LAST, i] - 2.0 * m[LAST + 1, i] + m[LAST + 2, i]
+            m[SCATTER, i] += min(dt / _SCATTER_S, 1.0) * (second * second / 6.0 - m[SCATTER, i])
+        m[SUM, i] += six[i]
+        if whole:
+            m[MEAN, i], m[MEAN + 1, i] = m[MEAN + 1, i], m[MEAN + 2, i]
+            m[MEAN + 2, i] = m[SUM, i] / _BLOCK
+            m[SUM, i] = 0.0
+        if known:
+            second = m[MEAN, i] - 2.0 * m[MEAN + 1, i] + m[MEAN + 2, i]
+            gain = min(_BLOCK * dt / _BLOCK_S, 1.0)
+            m[BLOCK, i] += gain * (second * second / 6.0 - m[BLOCK, i])
+        white = dt * min(m[SCATTER, i], _BLOCK * m[BLOCK, i])
+        if known:
+            m[LONG, i] += _BLOCK * dt / min(clock[LONG_S], _LONG_S) * (white - m[LONG, i])
+            if clock[LONG_S] > _KNOWN_S:
+                m[LARGEST, i] = max(m[LARGEST, i], math.sqrt(m[LONG, i]))
+        # rectified or folded down by the sampling, a part of any scatter stays in the integral
+        shaken = 1.0 + m[SHARE, i] * m[SCATTER, i] * dt / m[STATED2, i]
+        more = white / m[STATED2, i]
+        m[SCALE, i] = max(shaken, more) if more > _TRUST else shaken
+
+
 class NoiseMeter:
     """Follows six axes, gyro first; owns their running second differences."""
 
@@ -44,47 +93,24 @@ class NoiseMeter:
 
         vibration: share of the accelerometer's scatter that stays in what it integrates to.
         """
-        self.stated, self._stated2 = stated, np.square(stated)
-        self._share = np.repeat([0.0, vibration**2], 3)
+        self.stated = stated
+        self._m = np.zeros((ROWS, 6))
+        self._m[STATED2] = np.square(stated)
+        self._m[SHARE] = np.repeat([0.0, vibration**2], 3)
+        self._m[SCALE] = 1.0
         self._period_s = period_s
-        self._scatter, self._block_scatter = np.zeros(6), np.zeros(6)
-        self._long, self._long_s, self.largest = np.zeros(6), 0.0, np.zeros(6)
-        self.reset()
+
+    @property
+    def largest(self) -> Array:
+        """The largest densities of what is white so far, each over 20 s; (6,), 0: not known yet."""
+        return np.asarray(self._m[LARGEST].copy())
 
     def reset(self) -> None:
         """The samples do not follow the ones before: differences begin anew."""
-        self._last: list[Array] = []
-        self._means: list[Array] = []
-        self._sum, self._count = np.zeros(6), 0
+        self._m[CLOCK, :LONG_S] = 0.0
+        self._m[SUM] = 0.0
 
     def scale(self, six: Array, dt: float) -> Array:
         """What multiplies the stated squared densities from now on; (6,), from sample six (6,)."""
-        dt = min(dt, self._period_s)
-        self._last = [*self._last[-2:], six]
-        if len(self._last) == 3:
-            second = self._last[0] - 2.0 * self._last[1] + self._last[2]
-            self._scatter += min(dt / _SCATTER_S, 1.0) * (second**2 / 6.0 - self._scatter)
-        self._sum, self._count = self._sum + six, self._count + 1
-        if self._count == _BLOCK:
-            self._add_block(_BLOCK * dt)
-        # rectified or folded down by the sampling, a part of any scatter stays in the integral
-        shaken = 1.0 + self._share * self._scatter * dt / self._stated2
-        white = self._white(dt) / self._stated2
-        return np.asarray(np.maximum(shaken, np.where(white > _TRUST, white, 1.0)))
-
-    def _white(self, dt: float) -> Array:
-        """Squared densities (6,) of what is white."""
-        return np.asarray(np.minimum(self._scatter * dt, self._block_scatter * _BLOCK * dt))
-
-    def _add_block(self, span_s: float) -> None:
-        self._means = [*self._means[-2:], self._sum / _BLOCK]
-        self._sum, self._count = np.zeros(6), 0
-        if len(self._means) < 3:
-            return
-        second = self._means[0] - 2.0 * self._means[1] + self._means[2]
-        self._block_scatter += min(span_s / _BLOCK_S, 1.0) * (second**2 / 6.0 - self._block_scatter)
-        self._long_s += span_s
-        share = span_s / min(self._long_s, _LONG_S)
-        self._long += share * (self._white(span_s / _BLOCK) - self._long)
-        if self._long_s > _KNOWN_S:
-            self.largest = np.maximum(self.largest, np.sqrt(self._long))
+        follow(self._m, six, min(dt, self._period_s))
+        return np.asarray(self._m[SCALE].copy())

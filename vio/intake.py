@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from tagvo.geometry import Array, IntArray
-from vio.imu_gate import Gated, SampleGate
+from tagvo.geometry import Array, BoolArray, IntArray
+from vio.imu_gate import NOTHING_HELD, Gated, SampleGate
 from vio.imu_noise import NoiseMeter
 from vio.records import ImuSample
 
@@ -48,7 +48,7 @@ class ImuIntake:
         self._newest_ns: int | None = None  # stamp of the newest sample taken, held or not
         self._odd_ns: int | None = None  # stamp of one that came far from it
         self._before: ImuSample | None = None
-        self._was_wide = np.zeros(6, dtype=bool)
+        self._was_wide: BoolArray | None = None  # axes of the sample before that were doubtful
 
     def take(self, sample: ImuSample) -> tuple[list[Interval], bool]:
         """Intervals that this sample completes, and whether the time before it is lost."""
@@ -74,6 +74,9 @@ class ImuIntake:
         self._newest_ns = sample.t_ns
         out: list[Interval] = []
         for one in self._gate.take(sample, six):
+            if one.held is NOTHING_HELD:
+                out += self._advance(one, None)
+                continue
             held_ns = one.sample.t_ns - one.since_ns
             if held_ns.max() > LOST_NS:  # an axis has had no good value for so long
                 self.counters["imu_lost"] += 1
@@ -85,28 +88,38 @@ class ImuIntake:
     def _forget(self) -> None:
         self._gate.clear()
         self.meter.reset()
-        self._before, self._was_wide = None, np.zeros(6, dtype=bool)
+        self._before, self._was_wide = None, None
 
-    def _advance(self, one: Gated, held_ns: IntArray) -> list[Interval]:
-        """Intervals from the sample before to this one, the noise of doubtful axes widened."""
+    def _advance(self, one: Gated, held_ns: IntArray | None) -> list[Interval]:
+        """Intervals from the sample before to this one, the noise of doubtful axes widened.
+
+        held_ns (6,): for how long each axis is held; None: none is.
+        """
         before, sample = self._before, one.sample
         six = np.concatenate([sample.gyro_I, sample.accel_I])
         self._before = sample
-        saturated = np.abs(six) >= self._limit
-        if saturated.any():
+        wide = np.abs(six) >= self._limit
+        doubtful = bool(wide.any())
+        if doubtful:
             self.counters["imu_saturated"] += 1
-        wide = saturated | one.held
-        now, self._was_wide = wide | self._was_wide, wide
+        if held_ns is not None:
+            doubtful, wide = True, wide | one.held
         if before is None:
+            self._was_wide = wide if doubtful else None
             return []
-        if held_ns.max() > DEGRADED_NS:
-            self.degraded_at_ns = sample.t_ns
         span = sample.t_ns - before.t_ns
-        if wide.any() or span > 2.5 * self._period_ns:
+        if doubtful or span > 2.5 * self._period_ns:
             self.meter.reset()
-        missing = (held_ns / self._period_ns) ** 2  # of a gap as long as the axis is held
-        scale = np.where(now, np.maximum(_SATURATED, missing), 1.0)
-        scale *= self.meter.scale(six, span * 1e-9)
+        scale = self.meter.scale(six, span * 1e-9)
+        if doubtful or self._was_wide is not None:
+            missing = np.ones(6)
+            if held_ns is not None:
+                missing = (held_ns / self._period_ns) ** 2  # as of a gap so long
+                if held_ns.max() > DEGRADED_NS:
+                    self.degraded_at_ns = sample.t_ns
+            now = wide if self._was_wide is None else wide | self._was_wide
+            scale *= np.where(now, np.maximum(_SATURATED, missing), 1.0)
+        self._was_wide = wide if doubtful else None
         return self._cut(before, sample, scale)
 
     def _cut(self, before: ImuSample, sample: ImuSample, scale: Array) -> list[Interval]:
