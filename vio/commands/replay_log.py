@@ -100,7 +100,7 @@ def replay_log(
         with progress(log.frame_count, "frames") as step, gently() as stop:
             ends = stop if force else lambda: stop() or setup.certain
             result = run(log.events(), vo, estimators, watch, step, prior, ends, sinks, look=looks)
-            result.interrupted = stop()
+            result.interrupted = stop() or (result.interrupted and (force or not setup.certain))
     finally:
         if shown is not None:
             shown.close()
