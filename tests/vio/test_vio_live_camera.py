@@ -214,12 +214,24 @@ def test_a_folder_without_images_is_refused(tmp_path):
 
 
 def test_events_keep_their_order_and_frames_go_first_where_it_is_full():
-    clock = iter([5, 5, 4, *range(10, 3000)])
+    clock = iter([5, 5, 5, 4, *range(10, 3000)])
     events = LiveEvents(lambda: False, lambda: next(clock))
+    events.put(Frame(9))
+    assert next(iter(events)).t_ns == 9  # the loop has begun
     for t in range(4):
         events.put(Frame(t))
     assert events.counters == {"queue_dropped_frames": 1}
     events.close()
     taken = list(events)
     assert [e.t_ns for e in taken] == [1, 2, 3]
-    assert [e.arrival_ns for e in taken] == [6, 7, 10]
+    assert [e.arrival_ns for e in taken] == [7, 8, 10], "no two at one nanosecond"
+
+
+def test_what_a_filter_starts_from_is_kept_until_the_loop_begins():
+    """15 frames, half a second at 30 Hz: they come while compiled code is still loaded."""
+    events = LiveEvents(lambda: False)
+    for t in range(17):
+        events.put(Frame(t))
+    assert events.counters == {"queue_dropped_frames": 2}
+    events.close()
+    assert [e.t_ns for e in events] == list(range(2, 17))
