@@ -243,6 +243,7 @@ class Bridge:
             for listener in self._listeners:
                 listener(message, arrival)
         self.counters["broken"] = self._codec.bad
+        self.counters["unknown"] = self._codec.unknown
         self._traffic.complain(self._codec.bad, arrival)
 
     def _admitted(self, message: Any, peer: Peer, arrival: int, transport: Transport) -> bool:
