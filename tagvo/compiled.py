@@ -38,6 +38,17 @@ def drop_stale_code(folders: Iterable[Path]) -> None:
             continue
 
 
+def _without_blas() -> None:
+    """Numba imports scipy.linalg (0.3 s of every start) only to see that there is a BLAS.
+
+    No kernel of ours asks for it; one that did would have it loaded at its first call.
+    """
+    from numba.np import linalg
+
+    linalg.ensure_blas = lambda: None
+
+
+_without_blas()
 _jit: Any = numba.njit  # its type hints do not know `_nrt`
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
 _HERE = Path(__file__).parent
@@ -132,6 +143,28 @@ def inverse_spd(A: Array, out: Array) -> bool:
             out[i, j] = mean
             out[j, i] = mean
     return True
+
+
+@bare
+def multiply(A: Array, B: Array, out: Array) -> None:
+    """A B into `out` (n, m); by loops: BLAS costs a start 0.3 s and small products more."""
+    for i in range(A.shape[0]):
+        for j in range(B.shape[1]):
+            v = 0.0
+            for k in range(A.shape[1]):
+                v += A[i, k] * B[k, j]
+            out[i, j] = v
+
+
+@bare
+def add_square(D: Array, P: Array) -> None:
+    """P (n, n) += D D^T, in place."""
+    for i in range(D.shape[0]):
+        for j in range(D.shape[0]):
+            v = 0.0
+            for k in range(D.shape[1]):
+                v += D[i, k] * D[j, k]
+            P[i, j] += v
 
 
 @bare

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import BaseModel, NonNegativeFloat
 
 from tagvo import reprojection
-from tagvo.compiled import bare, cholesky, inverse_spd, njit
+from tagvo.compiled import add_square, bare, cholesky, inverse_spd, njit
 from tagvo.geometry import Array, IntArray
 
 SYSTEMATIC = 3  # focal length, principal point u, principal point v
@@ -142,7 +142,8 @@ def mean_covariance(
                 for c in range(6):
                     v += G[a, c] * G[b, c]
                 P[a, b] += w * w * v
-    return P + D @ D.T
+    add_square(D, P)
+    return P
 
 
 @bare

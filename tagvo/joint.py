@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import BaseModel, Field, PositiveFloat
 
-from tagvo.compiled import bare, cholesky, forward, inverse_spd, njit
+from tagvo.compiled import add_square, bare, cholesky, forward, inverse_spd, multiply, njit
 from tagvo.descent import Work, evaluate, minimise, step
 from tagvo.geometry import Array
 from tagvo.information import SYSTEMATIC, TagBatch, systematic_rows, tag_rows
@@ -62,7 +62,9 @@ def _systematic(R: Array, p: Array, tags: TagBatch, P: Array, work: Work) -> Arr
             for a in range(6):
                 for s in range(SYSTEMATIC):
                     sums[a, s] += work.weight[i] * rows[k, 1 + a] * B[k, s]
-    return P @ sums
+    D = np.empty((6, SYSTEMATIC))
+    multiply(P, sums, D)
+    return D
 
 
 @njit
@@ -154,7 +156,8 @@ def _solve(
     if not (np.isfinite(cost) and inverse_spd(work.H, cov)):
         return R, p, np.full((6, 6), np.nan), work.chi2, work.weight, np.inf, False, share
     D = _systematic(R, p, tags, cov, work)
-    cov = cov * _misfit(work.chi2, work.weight) + D @ D.T
+    cov = cov * _misfit(work.chi2, work.weight)
+    add_square(D, cov)
     return R, p, cov, work.chi2, work.weight, cost, settled, share
 
 

@@ -14,7 +14,7 @@ from vio.window import Window
 _ORDER = np.r_[at.P : at.P + 3, at.TH : at.TH + 3, at.V : at.V + 3]
 _PICK = np.ix_(_ORDER, _ORDER)
 _AHEAD_NS = 50_000_000  # how far a state is predicted beyond the newest sample
-_NOISES = np.setdiff1d(np.arange(at.NOISE), [at.N_GRAVITY, at.N_BIAS_RATE])
+_NOISES = [i for i in range(at.NOISE) if i not in (at.N_GRAVITY, at.N_BIAS_RATE)]
 
 
 def nav_state(t_ns: int, x: Array, P: Array) -> NavState:

@@ -9,7 +9,7 @@ spoils the rotation alone.
 
 import numpy as np
 
-from tagvo.compiled import backward, cholesky, forward, njit, quaternion
+from tagvo.compiled import backward, cholesky, forward, multiply, njit, quaternion
 from tagvo.geometry import Array
 from tagvo.records import PoseMeasurement
 from vio import layout as at
@@ -78,7 +78,9 @@ def _row(R_WC: Array, p_WC: Array, cov: Array, row: Array) -> None:
         row[3 + a] = sign * q_WC[a]
     T[0, 4], T[0, 5], T[1, 5] = -pivot_C[2], pivot_C[1], -pivot_C[0]
     T[1, 3], T[2, 3], T[2, 4] = pivot_C[2], -pivot_C[1], pivot_C[0]
-    about = T @ cov @ T.T
+    half, about = np.empty((6, 6)), np.empty((6, 6))
+    multiply(T, cov, half)
+    multiply(half, T.T, about)
     for a in range(6):
         for k in range(6):
             row[_COV + 6 * a + k] = about[a, k]

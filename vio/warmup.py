@@ -13,11 +13,8 @@ from tagvo.detect.filters import FilterConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.families import FAMILIES
 from tagvo.geometry import Array
-from tagvo.imaging import render_frame
 from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Detections, Frame, PoseMeasurement, PosePrior
-from tagvo.scene import make_scene
-from tagvo.sceneconfig import LensConfig, OccluderConfig, SceneConfig, TextureConfig
 from tagvo.tagmap import TagMap, map_from_dict
 from tagvo.track import TrackConfig, Tracker
 from vio.estimator import USUAL_NOISE, Estimator
@@ -25,7 +22,7 @@ from vio.records import ImuSample
 from vio.settings import VioConfig
 
 _SIDE_PX, _PITCH_PX = 40.0, 50.0
-_IMU_STEP_NS, _STEPS, _POSE_EVERY = 5_000_000, 300, 10  # 1.5 s at 200 Hz, poses at 20 Hz
+_IMU_STEP_NS, _STEPS, _POSE_EVERY = 10_000_000, 150, 5  # 1.5 s at 100 Hz, poses at 20 Hz
 
 
 def warm_up(
@@ -79,6 +76,10 @@ def warm_tracker(tag_map: TagMap, camera: Camera, config: TrackConfig | None = N
 
 def warm_renderer(tag_map: TagMap, camera: Camera) -> None:
     """Draw a picture with a floor of wood, torn tags, objects and motion: `simulate`'s code."""
+    from tagvo.imaging import render_frame  # here: a daemon that restarts in flight draws nothing
+    from tagvo.scene import make_scene
+    from tagvo.sceneconfig import LensConfig, OccluderConfig, SceneConfig, TextureConfig
+
     objects = OccluderConfig(count=3, size_m=0.2)
     config = SceneConfig(texture=TextureConfig(kind="wood"), torn_share=0.5, occluders=objects)
     above = tag_map.p_WT.mean(axis=0) + np.array([0.0, 0.0, 1.0])

@@ -12,7 +12,7 @@ from strategies import seeds
 from tagvo import geometry as geo
 from tagvo.config import TagvoConfig
 from tagvo.information import FloorConfig
-from tagvo.joint import JointConfig, solve_joint
+from tagvo.joint import JointConfig, _misfit, solve_joint
 from tagvo.observe import observe, tag_batch
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
@@ -195,3 +195,21 @@ def test_a_failed_solution_is_told_and_raises_nothing():
     assert not behind.converged
     assert behind.cost == np.inf
     assert np.isnan(behind.cov).all()
+
+
+def test_the_covariance_is_widened_by_what_the_residuals_say():
+    """Four tags, 26 degrees of freedom: chi-square over those once it is beyond their 99 %."""
+    ones = np.ones(4)
+    for total in (26.0, 44.0, chi2.ppf(0.989, 26)):
+        assert _misfit(np.full(4, total / 4.0), ones) == 1.0
+    for total in (chi2.ppf(0.991, 26), 96.0, 2600.0):
+        assert _misfit(np.full(4, total / 4.0), ones) == pytest.approx(total / 26.0)
+    half = np.array([1.0, 1.0, 1.0, 0.0])  # a tag that is not believed says nothing
+    assert _misfit(np.array([20.0, 20.0, 20.0, 1e6]), half) == pytest.approx(60.0 / 18.0)
+
+
+def test_corners_three_times_as_noisy_as_stated_make_a_wider_pose():
+    _, true, tags = scene(3, n=2)
+    fair = solve_joint(true.R_WC, true.p_WC, tags, STATED)
+    rough = solve_joint(true.R_WC, true.p_WC, tags._replace(sigma_px=tags.sigma_px / 3.0), STATED)
+    assert np.trace(rough.cov) > 0.5 * np.trace(fair.cov), "a ninth of it where nothing is widened"

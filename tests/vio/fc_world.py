@@ -100,6 +100,7 @@ class World:
             if made is None:
                 continue
             self.sent.append((self.t, made))
+            self.companion.wrote(message)
             if self.up:
                 frame = self.codec.encode(made)
                 self.at(self.t + self._way(), lambda frame=frame: self._to_fc(frame))

@@ -381,3 +381,11 @@ def test_damaged_bytes_give_a_word_or_a_counted_result(tmp_path_factory, changes
         assert np.isfinite(track.accel_I).all()
         assert len(np.unique(track.t_ns)) == len(track)
         assert len(tally.warnings) == len(tally.counters)
+
+
+@pytest.mark.parametrize("stamp", [2**62 + 1, 2**63 - 1, 2**63, 10**30])
+def test_a_stamp_whose_differences_no_int64_holds_is_a_bad_row(tmp_path: Path, stamp: int) -> None:
+    row = ",".join([str(stamp), *ROWS[3].split(",")[1:]])
+    track, tally = imu_of(tmp_path, IMU_HEADER + "".join([*ROWS[:3], row, *ROWS[4:]]))
+    assert track.t_ns.tolist() == [*IMU_STAMPS[:3], *IMU_STAMPS[4:]]
+    assert sum(tally.counters.values()) == 1

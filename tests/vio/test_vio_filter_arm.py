@@ -1,9 +1,16 @@
 """The arms: outputs carry stamp and arrival; the VO's Kalman filter smooths and restarts."""
 
-import numpy as np
-from flights import CAMERA, CLEAN, fly, rms
+from dataclasses import replace
 
-from tagvo.records import Frame
+import numpy as np
+import pytest
+from flights import CAMERA, CLEAN, fly, rms
+from simulated import grid_map, pinhole, pose_above, shot
+
+from tagvo import geometry as geo
+from tagvo.config import TagvoConfig
+from tagvo.pipeline import TagVO
+from tagvo.records import Frame, PosePrior
 from vio.estimator import Estimator
 from vio.filter_arm import VioArm, VoKfArm
 from vio.records import ImuSample
@@ -53,3 +60,44 @@ def test_vo_kf_starts_again_after_a_gap_and_drops_old_stamps():
     far = flown.poses[-1][1]
     assert np.linalg.norm(arm.pose(Frame(far.t_ns), far).v_WI) < 1e-12
     assert arm.pose(Frame(far.t_ns), None) is None
+
+
+class Expecting:
+    """A filter that knows where the camera is, and keeps the poses that it is given."""
+
+    def __init__(self, prior):
+        self.known, self.taken = prior, []
+
+    def prior(self, t_ns):
+        return self.known
+
+    def pose(self, measured):
+        self.taken.append(measured)
+
+    def nav(self):
+        return None
+
+
+@pytest.mark.parametrize("knows", [True, False])
+def test_an_ambiguous_frame_is_looked_at_again_where_the_filter_knows(knows):
+    """A lone tag taken for its mirrored branch: with the prior of the filter it is the true one."""
+    rng, tag_map = np.random.default_rng(4), grid_map(1, 0.1, 0.16)
+    camera, vo_config = pinhole(), TagvoConfig(ambiguity="consistent")
+    vo, first, second = TagVO(camera, tag_map, vo_config), [], []
+    for _ in range(12):
+        R_WC, p_WC = pose_above(rng, 1.0, [-0.02, -0.02], [0.02, 0.02])
+        true = shot(tag_map, camera, R_WC, p_WC, rng)
+        trace = vo.trace(replace(true.frame, t_ns=0))
+        assert trace.pose is not None
+        if "ambiguous" not in trace.pose.flags:
+            continue
+        prior = PosePrior(0, p_WC, R_WC, 1e-6 * np.eye(6)) if knows else None
+        arm = VioArm(Expecting(prior), vo)
+        arm.pose(Frame(0), trace.pose, trace.observations)
+        (taken,) = arm.estimator.taken
+        assert (taken is trace.pose) is not knows
+        first.append(np.degrees(geo.angle(R_WC.T @ trace.pose.R_WC)))
+        second.append(np.degrees(geo.angle(R_WC.T @ taken.R_WC)))
+    changed = [(a, b) for a, b in zip(first, second, strict=True) if abs(a - b) > 1.0]
+    assert bool(changed) is knows, "some of them were of the other branch"
+    assert all(b < a for a, b in changed), "and this one is nearer to the truth"

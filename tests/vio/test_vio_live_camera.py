@@ -11,6 +11,7 @@ from fc_live import until
 from tagvo.records import Frame
 from vio.daemon_settings import CameraConfig
 from vio.errors import CameraLost, SourceError
+from vio.sources import live_grab
 from vio.sources.live_camera import Latest, LiveCamera
 from vio.sources.live_events import LiveEvents
 from vio.sources.live_grab import Files, PiCamera, V4l2, folder_images, middle_ns, open_camera
@@ -214,12 +215,38 @@ def test_a_folder_without_images_is_refused(tmp_path):
 
 
 def test_events_keep_their_order_and_frames_go_first_where_it_is_full():
-    clock = iter([5, 5, 4, *range(10, 3000)])
+    clock = iter([5, 5, 5, 4, *range(10, 3000)])
     events = LiveEvents(lambda: False, lambda: next(clock))
+    events.put(Frame(9))
+    assert next(iter(events)).t_ns == 9  # the loop has begun
     for t in range(4):
         events.put(Frame(t))
     assert events.counters == {"queue_dropped_frames": 1}
     events.close()
     taken = list(events)
     assert [e.t_ns for e in taken] == [1, 2, 3]
-    assert [e.arrival_ns for e in taken] == [6, 7, 10]
+    assert [e.arrival_ns for e in taken] == [7, 8, 10], "no two at one nanosecond"
+
+
+def test_what_a_filter_starts_from_is_kept_until_the_loop_begins():
+    """15 frames, half a second at 30 Hz: they come while compiled code is still loaded."""
+    events = LiveEvents(lambda: False)
+    for t in range(17):
+        events.put(Frame(t))
+    assert events.counters == {"queue_dropped_frames": 2}
+    events.close()
+    assert [e.t_ns for e in events] == list(range(2, 17))
+
+
+def test_files_do_not_catch_up_after_a_stall(tmp_path, monkeypatch):
+    """A reader away for 0.5 s: the next image is of now, and then each at its period again."""
+    write_images(tmp_path / "images")
+    config = CameraConfig(device="images", rate_hz=100.0, repeat=True)
+    camera, now = open_camera(config, SIZE, tmp_path), [1_000_000_000]
+    monkeypatch.setattr(live_grab.time, "monotonic_ns", lambda: now[0])
+    monkeypatch.setattr(live_grab.time, "sleep", lambda s: now.append(now.pop() + round(s * 1e9)))
+    before = [camera.read().t_ns for _ in range(2)]
+    now[0] += 500_000_000
+    after = [camera.read().t_ns for _ in range(3)]
+    assert np.diff(before).tolist() == [10_000_000]
+    assert after == [1_510_000_000 + k * 10_000_000 for k in range(3)]

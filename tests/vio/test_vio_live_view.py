@@ -11,6 +11,7 @@ import pytest
 from cli_calls import tagvio
 from live_client import TOPICS, Client
 from oracles.suspect_study import flight
+from simulated import grid_map, pinhole
 
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
@@ -142,3 +143,18 @@ def test_run_writes_an_mcap_that_opens(tmp_path):
     again = tagvio("run", log, "--out", tmp_path / "again", "--mcap", tmp_path / "view.mcap")
     assert again.code == 1
     assert "view.mcap" in again.err
+
+
+def test_states_are_thinned_by_their_own_clock_which_may_start_anew():
+    """At most 20 a second of the states' own time; a clock that goes back is followed."""
+    view, shown = LiveView(grid_map(), pinhole()), []
+    try:
+        view._put = lambda waiting, item, limit, what: shown.append(item.t_ns)
+        ms = 1_000_000
+        for t_ms in (1000, 1010, 1049, 1050, 1060, 1100, 200, 210, 250):
+            known_ns = 10**15 + t_ms * ms * 7  # of another clock, which does not count
+            view.output("vio", Output(t_ms * ms, known_ns, np.zeros(3), np.eye(3)))
+            view.output("vo", Output(t_ms * ms + 1, known_ns, np.zeros(3), np.eye(3)))
+    finally:
+        view.close()
+    assert [t // ms for t in shown] == [1000, 1050, 1100, 200, 250]

@@ -144,3 +144,16 @@ def test_held_states_leave_no_trace_but_coasting_goes_on():
     assert policy.decide(700 * MS, True, State.COASTING, 701 * MS) is Verdict.COASTED
     assert policy.decide(700 * MS, True, State.TRACKING, 701 * MS) is Verdict.SEND
     assert policy.counters["held"] == 16
+
+
+@pytest.mark.parametrize(("age_ms", "verdict"), [(187, Verdict.SEND), (193, Verdict.STALE)])
+def test_the_age_is_that_at_which_it_will_leave_after_its_wait(age_ms, verdict):
+    """It waits 12 ms of its 23: within 0.2 s when it is decided on is too old when it leaves."""
+    policy = SendPolicy(Rules())
+    now = 300 * MS
+    assert policy.decide(now - 11 * MS - 199 * MS, True, State.TRACKING, now - 11 * MS) is (
+        Verdict.SEND
+    )
+    assert policy.leaves_at(now) == now + 12 * MS
+    policy._credit = 1.5
+    assert policy.decide(now - age_ms * MS, True, State.TRACKING, now) is verdict

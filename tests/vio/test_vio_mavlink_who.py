@@ -270,3 +270,12 @@ def test_cameras_and_maps_load_by_a_name_as_by_a_path():
     configs = Path(__file__).parents[2] / "configs"
     assert tagvo.load_camera(str(configs / "cameras/arena.yaml")).resolution == (640, 480)
     assert len(tagvo.load_map(str(configs / "maps/arena.yaml")).tag_id) > 0
+
+
+def test_noise_of_a_wrong_baud_rate_is_no_mavlink_from_anybody():
+    """Random bytes often are a frame of a message that no dialect has: its checksum is unknown."""
+    codec, noise = Codec(1, 197), np.random.default_rng(60).bytes(200_000)
+    messages = [m for k in range(0, len(noise), 400) for m in codec.decode(noise[k : k + 400])]
+    assert messages == []
+    assert codec.unknown > 10
+    assert codec.bad > 100

@@ -6,9 +6,12 @@ from flights import CAMERA, CLEAN, events, feed, fly
 
 from tagvo import geometry as geo
 from tagvo.records import PoseMeasurement
+from vio import layout as at
 from vio.estimator import Estimator
+from vio.output import moment
 from vio.settings import VioConfig
 from vio.sim.inertial import PIXHAWK
+from vio.window import Window
 
 
 def flown(seconds=6.0):
@@ -94,3 +97,22 @@ def test_gravity_and_rate_come_along():
     R = flight.flight(np.array([t - h, t + h])).R_WI
     rate = geo.log(R[0].T @ R[1]) / (2 * h)
     np.testing.assert_allclose(made.w_I, rate, atol=0.1)
+
+
+@pytest.mark.parametrize("back_ns", [1_000_000, 4_000_000])
+def test_going_back_takes_no_noise_away(back_ns):
+    """Noise that time adds is not subtracted: an IMU a thousand times as bad changes nothing."""
+    rng, R = np.random.default_rng(1), np.diag([1e-4] * at.BASE)
+    window = Window(at.BASE, 8, 4, 2 + at.POSE_NUMBERS, np.full(at.NOISE, 1e-4), np.zeros(4))
+    x = np.zeros(at.NOMINAL)
+    x[[at.X_Q, at.X_QIC, at.X_QWG]] = 1.0
+    x[at.X_V : at.X_V + 3] = rng.normal(size=3)
+    window.start(0, x, R)
+    window.t[1], window.X[1], window.P[1], window.last = 5_000_000, x, R, 1
+    window.imu[1] = np.r_[0.1, -0.2, 0.3, 0.2, 0.1, 9.8, np.ones(6)]
+    cov = moment(window, 5_000_000 - back_ns).nav.cov
+    window.q[[i for i in range(at.NOISE) if i not in (at.N_GRAVITY, at.N_BIAS_RATE)]] *= 1e6
+    np.testing.assert_array_equal(moment(window, 5_000_000 - back_ns).nav.cov, cov)
+    assert np.linalg.eigvalsh(cov).min() > 0.0
+    on = moment(window, 5_000_000 + back_ns).nav.cov
+    assert np.trace(on) > np.trace(cov) + 0.1, "and forward it is added"

@@ -5,6 +5,7 @@ import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -57,9 +58,7 @@ def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | Non
     where = path.parent
     systemd = Systemd()
     sys.setswitchinterval(_SWITCH_S)  # the link answers TIMESYNC while compiled code is loaded
-    with _link(bridge):
-        warm_all(parts.tag_map, parts.camera, config.tagvo, config.vio)
-        _settle()
+    with _link(bridge), _loading(parts) as loaded:
         systemd.tell("READY=1", "STATUS=waiting for the flight controller")
         if not _met(bridge, config.daemon.vehicle_wait_s, stop, systemd):
             return None
@@ -71,7 +70,19 @@ def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | Non
         counters += [imu.counters, camera.counters]
         bridge.listen(imu.heard)
         flight.view = _view(flight, parts, where, time.time_ns() - time.monotonic_ns())
-        return _fly(flight, camera, systemd, _status_file(config, where))
+        return _fly(flight, camera, systemd, _status_file(config, where), loaded)
+
+
+@contextmanager
+def _loading(parts: Parts) -> Iterator[Callable[[], None]]:
+    """Load compiled code beside all else: what a filter starts from is gathered meanwhile.
+
+    Gives a function that waits for it; it raises what went wrong there.
+    """
+    config = parts.config
+    with ThreadPoolExecutor(1, "compiled code") as pool:
+        job = pool.submit(warm_all, parts.tag_map, parts.camera, config.tagvo, config.vio)
+        yield job.result
 
 
 def _settle() -> None:
@@ -160,12 +171,20 @@ def _taker(flight: Flight, config: Config) -> Callable[[ImuSample], None]:
     return take
 
 
-def _fly(flight: Flight, camera: LiveCamera, systemd: Systemd, file: Path | None) -> RunResult:
+def _fly(
+    flight: Flight,
+    camera: LiveCamera,
+    systemd: Systemd,
+    file: Path | None,
+    loaded: Callable[[], None],
+) -> RunResult:
     status = start_status(flight, file, systemd)
     try:
         flight.ready()
         camera.start()
         flight.ends_with(camera.ended)
+        loaded()
+        _settle()
         return flight.fly()
     finally:
         systemd.tell("STOPPING=1")

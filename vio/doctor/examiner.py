@@ -5,13 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from tagvo import geometry as geo
 from vio.clock import to_ours
 from vio.doctor.check import names
 from vio.doctor.params import ParamReader
 from vio.doctor.records import Facts, VisionSeen
-from vio.frames import euler_321
-from vio.mavlink.belief import BeliefCheck, SentPose
+from vio.mavlink.belief import BeliefCheck, sent_pose
 from vio.mavlink.companion import Companion
 from vio.mavlink.fields import (
     ARDUPILOT,
@@ -143,8 +141,10 @@ class Examiner:
         elif name in _POSES and message.get_srcComponent() != AUTOPILOT_COMPONENT:
             self._poses.heard(message, now_ns)
             if self._belief is not None:
-                pose = _pose_of(message)
-                if abs(now_ns - pose.t_ns) < _SECOND:  # else its stamps are of another clock
+                pose = sent_pose(name, message.to_dict())
+                if (
+                    pose is not None and abs(now_ns - pose.t_ns) < _SECOND
+                ):  # else its stamps are of another clock
                     self._belief.sent(pose, message.reset_counter)
 
     def due(self, now_ns: int) -> list[Outgoing]:
@@ -196,15 +196,6 @@ class Examiner:
             signed=self._signed,
             belief=None if self._belief is None else self._belief.words(),
         )
-
-
-def _pose_of(message: Any) -> SentPose:
-    """The pose of a VISION_POSITION_ESTIMATE or ODOMETRY."""
-    p_NB = np.array([message.x, message.y, message.z])
-    if message.get_type() != _ODOMETRY:
-        return SentPose(message.usec * 1000, p_NB, message.yaw)
-    yaw = float(euler_321(geo.matrix_from_quat(np.array(message.q)))[2])
-    return SentPose(message.time_usec * 1000, p_NB, yaw)
 
 
 def _certain(variance: tuple[float, float, float]) -> bool:

@@ -4,13 +4,17 @@ Pure: no link, no clock. What differs is only told; no pose is changed or withhe
 """
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from math import degrees, pi
+from typing import Any
 
 import numpy as np
 
+from tagvo import geometry as geo
 from tagvo.geometry import Array
+from vio.frames import euler_321
 from vio.mavlink_settings import BeliefConfig
 
 _NEAR_NS = 300_000_000  # from a pose sent: further from one nothing is known
@@ -34,6 +38,18 @@ class SentPose:
     t_ns: int
     p_NB: Array
     yaw: float
+
+
+def sent_pose(name: str, fields: Mapping[str, Any]) -> SentPose | None:
+    """The pose in the fields of a VISION_POSITION_ESTIMATE or ODOMETRY; None: another message."""
+    if name == "VISION_POSITION_ESTIMATE":
+        usec, yaw = fields["usec"], fields["yaw"]
+    elif name == "ODOMETRY":
+        usec = fields["time_usec"]
+        yaw = float(euler_321(geo.matrix_from_quat(np.array(fields["q"])))[2])
+    else:
+        return None
+    return SentPose(usec * 1000, np.array([fields["x"], fields["y"], fields["z"]]), yaw)
 
 
 class Streak:

@@ -243,6 +243,7 @@ class Bridge:
             for listener in self._listeners:
                 listener(message, arrival)
         self.counters["broken"] = self._codec.bad
+        self.counters["unknown"] = self._codec.unknown
         self._traffic.complain(self._codec.bad, arrival)
 
     def _admitted(self, message: Any, peer: Peer, arrival: int, transport: Transport) -> bool:
@@ -271,6 +272,7 @@ class Bridge:
     def _send(self, messages: list[Outgoing]) -> None:
         if not messages:
             return
+        written = []
         with self._writer:
             transport = self._transport
             for message in messages:
@@ -285,8 +287,12 @@ class Bridge:
                     sent, self._broken = False, True
                     self._wake()
                 self.counters["sent" if sent else "not_sent"] += 1
+                written += [message] if sent and message.t_ns is not None else []
                 for watcher in self._watchers if sent else ():
                     watcher(message, now)
+        for message in written:
+            with self._brain:
+                self.companion.wrote(message)
 
     def _drop(self) -> None:
         with self._writer:

@@ -12,10 +12,10 @@ import numpy as np
 
 from tagvo.geometry import Array
 from vio.clock import Asker, ClockTrack, learn, to_ours
-from vio.frames import Alignment, NedPose, euler_321, largest_sigmas, to_ned
+from vio.frames import Alignment, NedPose, largest_sigmas, to_ned
 from vio.health import Health
 from vio.mavlink import fields
-from vio.mavlink.belief import BeliefCheck, SentPose
+from vio.mavlink.belief import BeliefCheck, sent_pose
 from vio.mavlink.fields import Outgoing
 from vio.mavlink.heading import Heading
 from vio.mavlink.latency import AgeMeter, delay_advice
@@ -250,13 +250,14 @@ class Companion:
         elif since is not None and now_ns - since > _UNANSWERED_NS:
             self.alarm("signing", "autopilot signs, answers nothing: mavlink.signing.key_file")
 
-    def _look_at_belief(self, t_ns: int, pose: NedPose) -> None:
-        """Take a pose that is sent; say where the autopilot differs, and when it no longer does."""
-        if self.belief is None:
+    def wrote(self, message: Outgoing) -> None:
+        """Take a message that has left; of a pose: say where the autopilot differs, and when it no
+        longer does. One that was decided on and never left is not what it was told."""
+        pose = None if self.belief is None else sent_pose(message.name, message.fields)
+        if self.belief is None or pose is None:
             return
         before = self.belief.state
-        yaw = float(euler_321(pose.R_NF)[2])
-        self.belief.sent(SentPose(t_ns, pose.p_NB, yaw), self.resets.value)
+        self.belief.sent(pose, message.fields["reset_counter"])
         if self.belief.state is not before:
             self.alarm("belief", self.belief.words())
 
@@ -316,7 +317,6 @@ class Companion:
         self._withheld = False
         if captured:
             self.ages.add(leaves_ns - moment.t_ns)
-        self._look_at_belief(moment.t_ns, pose)
         out = self._messages(moment.t_ns, pose, health)
         if leaves_ns <= now_ns:
             return out

@@ -15,6 +15,7 @@ from vio.records import Ground, ImuSample
 
 Event = ImuSample | Frame | Ground
 _MOST_IMU, _MOST_FRAMES = 2000, 3
+_FIRST_FRAMES = 15  # before the loop takes anything: a filter starts from 0.4 s of them, at 30 Hz
 _LOOK_S = 0.1  # how often who waits asks whether to stop
 
 
@@ -33,7 +34,7 @@ class LiveEvents:
         self._events: deque[Event] = deque()
         self._count: Counter[type] = Counter()
         self._before_ns = -(1 << 62)
-        self._closed = False
+        self._closed = self._taken = False
         self.counters: Counter[str] = Counter()
 
     def put(self, event: Event) -> None:
@@ -43,10 +44,14 @@ class LiveEvents:
             self._events.append(replace(event, arrival_ns=self._before_ns))
             kind = type(event)
             self._count[kind] += 1
-            most = _MOST_FRAMES if kind is Frame else _MOST_IMU
+            most = self._most_frames if kind is Frame else _MOST_IMU
             if self._count[kind] > most:
                 self._drop_oldest(kind)
             self._ready.notify()
+
+    @property
+    def _most_frames(self) -> int:
+        return _MOST_FRAMES if self._taken else _FIRST_FRAMES
 
     def _drop_oldest(self, kind: type) -> None:
         for i, event in enumerate(self._events):
@@ -72,6 +77,7 @@ class LiveEvents:
                     if self._closed or self._stop():
                         return
                     self._ready.wait(_LOOK_S)
+                self._taken = True
                 event = self._events.popleft()
                 self._count[type(event)] -= 1
             yield event
