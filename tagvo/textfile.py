@@ -4,6 +4,8 @@ import json
 import os
 import re
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -48,6 +50,20 @@ def read_text(path: Path, error: type[Exception] = TagvoError, undecodable: str 
         return path.read_text(encoding="utf-8-sig", errors=undecodable)
     except UnicodeDecodeError as err:
         raise error(f"{path}: not a text file ({err.reason} at byte {err.start})") from None
+    except OSError as err:
+        raise error(f"{path}: cannot be read ({err.strerror})") from None
+
+
+@contextmanager
+def open_lines(path: Path, error: type[Exception] = TagvoError) -> Iterator[Iterator[str]]:
+    """Lines of a UTF-8 file one after the other, for files too long to hold.
+
+    Bytes that are no UTF-8 are replaced; raises `error` naming the file where it cannot be read.
+    """
+    check_regular(path, error)
+    try:
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
+            yield file
     except OSError as err:
         raise error(f"{path}: cannot be read ({err.strerror})") from None
 

@@ -9,6 +9,7 @@ from vio.commands import options as opt
 from vio.interrupt import gently
 
 if TYPE_CHECKING:
+    from vio.commands.convert_write import Written
     from vio.sources.foreign.records import Foreign
     from vio.sources.tally import Tally
 
@@ -101,10 +102,7 @@ def command(
     moved, named, flat = _numbers(shift), _topics(topic or []), _yes_or_no(rectified)
     if camera is not None:
         named["camera"] = "none"  # what is given wins, whatever the bag says
-    if any(out.resolve() == path.resolve() for path in files):
-        raise LogError(f"--out {out}: is what is to be converted; another name is needed")
-    kind = out.suffix.lower() if out.suffix.lower() in (".mcap", ".tum") else ""
-    tally = Tally()
+    kind, tally = _kind(out, files), Tally()
     with opt.waiting("reading"):
         parts = [(path, read_foreign(path, tally, named, stamps, flat)) for path in files]
         found = shifted(together([*parts, *_tables(imu_csv, truth_csv, tally)]), moved)
@@ -119,13 +117,26 @@ def command(
         else:
             rig = read_rig(found, (tag_map, camera, noise), tally)
             said = write_flight_log(out, found, rig, step, stop, replace=replace)
-    for text in tally.warnings:
-        typer.echo(f"warning: {text}", err=True)
-    typer.echo(f"{out}: {said.text}")
+    _echo_written(out, said, tally)
     if stop():
         raise typer.Exit(130)
     if total and not said.frames and kind != ".tum":
         raise LogError(f"{out}: not one of {total} images could be read; {said.text}")
+
+
+def _kind(out: Path, files: list[Path]) -> str:
+    """.tum, .mcap, or nothing for a flight log."""
+    from vio.errors import LogError
+
+    if any(out.resolve() == path.resolve() for path in files):
+        raise LogError(f"--out {out}: is what is to be converted; another name is needed")
+    return out.suffix.lower() if out.suffix.lower() in (".mcap", ".tum") else ""
+
+
+def _echo_written(out: Path, said: "Written", tally: "Tally") -> None:
+    for text in tally.warnings:
+        typer.echo(f"warning: {text}", err=True)
+    typer.echo(f"{out}: {said.text}")
 
 
 def _tables(

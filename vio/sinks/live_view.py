@@ -78,13 +78,31 @@ class LiveView:
         the pages that may look (`vio.sinks.origins`). VioError
         where the port is in use, the file is there or foxglove-sdk is not installed.
         """
+        self._map, self._camera, self._arm = tag_map, camera, arm
+        self._epoch_ns, self._lossless, self._reject = epoch_ns, lossless, reject_weight
+        self.counters: Counter[str] = Counter()
+        self._open(port, host, mcap, origins)
+        self._channels = _Channels(self._context)
+        self._frames: deque[_Seen] = deque()
+        self._states: deque[Output] = deque()
+        self._words: deque[tuple[int, str, str]] = deque(maxlen=_WORDS)
+        self._more = threading.Condition()
+        self._image: Frame | None = None
+        self._frame_ns = self._state_ns = self._map_ns = self._scene_ns = -(1 << 62)
+        self._now_ns = 0
+        self._trail: deque[Array] = deque(maxlen=_TRAIL)
+        self._ending = False
+        self._handler = _Words(self)
+        logging.getLogger("vio").addHandler(self._handler)
+        self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
+        self._thread.start()
+
+    def _open(self, port: int | None, host: str, mcap: Path | None, origins: Sequence[str]) -> None:
+        """Context, file, server and door; what was opened is closed where the next one fails."""
         try:
             import foxglove
         except ImportError:
             raise VioError("the live view needs foxglove-sdk: pip install 'tagvio[live]'") from None
-        self._map, self._camera, self._arm = tag_map, camera, arm
-        self._epoch_ns, self._lossless, self._reject = epoch_ns, lossless, reject_weight
-        self.counters: Counter[str] = Counter()
         self._context = foxglove.Context()
         self._server = self._file = None
         self._door: OriginProxy | None = None
@@ -100,31 +118,15 @@ class LiveView:
                 )  # fmt: skip
                 self._door = OriginProxy(host, port, (inner, int(self._server.port)), origins)
                 self.counters = self._door.counters
-        except VioError:
+        except (VioError, OSError, RuntimeError, ValueError) as err:
+            what = f"{mcap}" if mcap is not None and self._file is None else f"{host}:{port}"
             if self._server is not None:
                 self._server.stop()
             if self._file is not None:
                 self._file.close()
-            raise
-        except (OSError, RuntimeError, ValueError) as err:
-            what = f"{mcap}" if mcap is not None and self._file is None else f"{host}:{port}"
-            if self._file is not None:
-                self._file.close()
+            if isinstance(err, VioError):
+                raise
             raise VioError(f"live view {what}: {' '.join(str(err).split())}") from None
-        self._channels = _Channels(self._context)
-        self._frames: deque[_Seen] = deque()
-        self._states: deque[Output] = deque()
-        self._words: deque[tuple[int, str, str]] = deque(maxlen=_WORDS)
-        self._more = threading.Condition()
-        self._image: Frame | None = None
-        self._frame_ns = self._state_ns = self._map_ns = self._scene_ns = -(1 << 62)
-        self._now_ns = 0
-        self._trail: deque[Array] = deque(maxlen=_TRAIL)
-        self._ending = False
-        self._handler = _Words(self)
-        logging.getLogger("vio").addHandler(self._handler)
-        self._thread = threading.Thread(target=self._work, name="live view", daemon=True)
-        self._thread.start()
 
     @property
     def port(self) -> int | None:

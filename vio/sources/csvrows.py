@@ -2,8 +2,9 @@
 
 import re
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -13,6 +14,7 @@ BLANK = np.iinfo(np.int64).min  # an optional whole number that the row leaves o
 _MAX_INT = 2**62  # differences of stamps must fit in int64
 _MAX_FLOAT = 1e30  # no metre, pixel or radian is beyond; powers of what is below stay finite
 _BLOCK = 2048
+_GROWTH = 1.125  # of a column that is full: what is spare was never touched, and is given back
 _WHOLE = re.compile(r"([+-]?\d{1,19})(?:\.0*)?", re.ASCII)
 
 
@@ -21,7 +23,8 @@ class Wanted:
     """Where the columns stand: indices of whole numbers, floats and texts in a row.
 
     The first must_ints and must_floats of them are needed, the others may be blank or NaN; a row
-    has need cells at least and width at most.
+    has need cells at least and width at most. vectors: how many floats stand together in an array
+    (all of them in one where it is empty).
     """
 
     ints: list[int]
@@ -31,10 +34,18 @@ class Wanted:
     must_floats: int
     need: int
     width: int
+    vectors: tuple[int, ...] = ()
+
+    def slices(self) -> list[slice]:
+        """Which of the floats each array holds."""
+        if not self.floats:
+            return []
+        ends = np.cumsum(self.vectors or [len(self.floats)]).tolist()
+        return [slice(a, b) for a, b in pairwise([0, *ends])]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Rows:
+class _Block:
     """Good rows: ints (n, i), floats (n, f), texts (n lists), line (n,) numbers in the file."""
 
     ints: IntArray
@@ -43,25 +54,81 @@ class Rows:
     line: IntArray
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """Good rows: ints of (n,) each, floats of (n, vector) each, texts (n lists), line (n,)."""
+
+    ints: list[IntArray]
+    floats: list[Array]
+    texts: list[list[str]]
+    line: IntArray
+
+
+class _Growing:
+    """Columns that grow in place: a list of blocks joined at the end needs the memory twice."""
+
+    def __init__(self, wanted: Wanted) -> None:
+        self._slices, self._count = wanted.slices(), 0
+        self._ints = [np.empty(_BLOCK, np.int64) for _ in wanted.ints]
+        self._floats = [np.empty((_BLOCK, s.stop - s.start)) for s in self._slices]
+        self._line = np.empty(_BLOCK, np.int64)
+        self._texts: list[list[str]] = []
+        self._with_texts = bool(wanted.texts)
+
+    def append(self, block: _Block) -> None:
+        a, b = self._count, self._count + len(block.line)
+        if b > len(self._line):
+            self._resize(int(_GROWTH * b) + _BLOCK)
+        for i, column in enumerate(self._ints):
+            column[a:b] = block.ints[:, i]
+        for part, column in zip(self._slices, self._floats, strict=True):
+            column[a:b] = block.floats[:, part]
+        self._line[a:b] = block.line
+        if self._with_texts:
+            self._texts += block.texts
+        self._count = b
+
+    def rows(self) -> Rows:
+        self._resize(self._count)
+        texts = self._texts if self._with_texts else []
+        return Rows(self._ints, self._floats, texts, self._line)
+
+    def _resize(self, count: int) -> None:
+        for column in (*self._ints, *self._floats, self._line):
+            column.resize((count, *column.shape[1:]), refcheck=False)  # nobody else has them yet
+
+
 class _RowError(ValueError):
     """A row that cannot be used; its text is the cause."""
 
 
 def parse_rows(
-    lines: list[str], start: int, wanted: Wanted, bad: Callable[[str, int], None]
+    lines: Iterable[str], start: int, wanted: Wanted, bad: Callable[[str, int], None]
 ) -> Rows:
-    """All good rows from line index `start` on; `bad(cause, line number)` hears of each other."""
-    blocks = []
-    for a in range(start, len(lines), _BLOCK):
-        b = min(a + _BLOCK, len(lines))
-        clean = _clean_block(lines[a:b], a, wanted)
-        blocks.append(clean or _block(lines, a, b, wanted, bad))
-    return Rows(
-        np.concatenate([np.zeros((0, len(wanted.ints)), np.int64), *(r.ints for r in blocks)]),
-        np.concatenate([np.zeros((0, len(wanted.floats))), *(r.floats for r in blocks)]),
-        [text for r in blocks for text in r.texts],
-        np.concatenate([np.zeros(0, np.int64), *(r.line for r in blocks)]),
-    )
+    """All good rows; `bad(cause, line number)` hears of each other.
+
+    lines: from line index `start` of the file on; only some thousand are held at a time.
+    """
+    found = _Growing(wanted)
+    for first, block, last in _blocks(iter(lines), start):
+        clean = _clean_block(block, first, wanted)
+        found.append(clean or _block(block, first, last, wanted, bad))
+    return found.rows()
+
+
+def _blocks(lines: Iterator[str], first: int) -> Iterator[tuple[int, list[str], bool]]:
+    """Index of its first line, lines, whether it ends the file; blank lines at the end left out."""
+    held: tuple[int, list[str]] | None = None
+    while block := list(islice(lines, _BLOCK)):
+        if any(map(str.strip, block)):  # a block of blank lines has no row
+            if held is not None:
+                yield *held, False
+            held = first, block
+        first += len(block)
+    if held is not None:
+        while not held[1][-1].strip():
+            held[1].pop()
+        yield *held, True
 
 
 def split(line: str) -> list[str]:
@@ -70,7 +137,7 @@ def split(line: str) -> list[str]:
     return text.split(",") if text and not text.startswith("#") else []
 
 
-def _clean_block(lines: list[str], first: int, wanted: Wanted) -> Rows | None:
+def _clean_block(lines: list[str], first: int, wanted: Wanted) -> _Block | None:
     """The rows of a block in which every line is good, read by numpy; None where one is not."""
     commas = {line.count(",") for line in lines}
     if wanted.texts or len(commas) != 1 or not wanted.need <= max(commas) + 1 <= wanted.width:
@@ -96,19 +163,19 @@ def _clean_block(lines: list[str], first: int, wanted: Wanted) -> Rows | None:
     if len(table) != len(lines) or not in_range.all() or not usable[:, : wanted.must_floats].all():
         return None
     floats = np.where(usable, floats, np.nan)
-    return Rows(ints, floats, [[]] * len(ints), np.arange(first, first + len(lines)) + 1)
+    return _Block(ints, floats, [], np.arange(first, first + len(lines)) + 1)
 
 
 def _block(
-    lines: list[str], a: int, b: int, wanted: Wanted, bad: Callable[[str, int], None]
-) -> Rows:
+    lines: list[str], first: int, last: bool, wanted: Wanted, bad: Callable[[str, int], None]
+) -> _Block:
     ints, floats, texts, numbers = [], [], [], []
-    for at in range(a, b):
-        cells = split(lines[at])
+    for at, line in enumerate(lines, first):
+        cells = split(line)
         if not cells:
             continue
         try:
-            _check_width(cells, wanted, last=at == len(lines) - 1)
+            _check_width(cells, wanted, last=last and at == first + len(lines) - 1)
             row = _whole_numbers(cells, wanted), _numbers(cells, wanted)
         except _RowError as cause:
             bad(str(cause), at + 1)
@@ -117,7 +184,7 @@ def _block(
         floats.append(row[1])
         texts.append([cells[i].strip() for i in wanted.texts])
         numbers.append(at + 1)
-    return Rows(
+    return _Block(
         np.array(ints, dtype=np.int64).reshape(len(ints), len(wanted.ints)),
         np.array(floats, dtype=float).reshape(len(ints), len(wanted.floats)),
         texts,
