@@ -2,7 +2,7 @@
 
 import logging
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from vio.interrupt import gently
 from vio.run import RunResult, Sink, run
 from vio.setup_watch import SetupWatch
 from vio.sources.log import FlightLog
+from vio.sources.tally import Tally
 from vio.stopwatch import Stopwatch
 from vio.unmapped import other_family
 from vio.warmup import warm_all
@@ -135,7 +136,8 @@ def _strange_tags(log: FlightLog, result: RunResult) -> list[str]:
     said = result.unmapped.words(log.tag_map, result.with_pose)
     if result.frames and not result.unmapped.found and not result.interrupted:
         rows = range(0, log.frame_count, max(1, log.frame_count // _TRIED_IMAGES))
-        frames = (log.frames.frame(row) for row in rows[:_TRIED_IMAGES])
+        again = replace(log.frames, tally=Tally())  # what it cannot read is counted already
+        frames = (again.frame(row) for row in rows[:_TRIED_IMAGES])
         family = log.tag_map.family.name
         other = other_family((f.image for f in frames if f is not None), family)
         said += [] if other is None else [other]
