@@ -30,7 +30,8 @@ class VehicleConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False)
 
         T = np.array(value)
         R = T[:3, :3]
-        if not np.allclose(R.T @ R, np.eye(3), atol=1e-3) or np.linalg.det(R) < 0.0:
+        small = np.abs(R).max() < 2.0  # no entry of a rotation is beyond 1; 1e300 squared overflows
+        if not (small and np.allclose(R.T @ R, np.eye(3), atol=1e-3) and np.linalg.det(R) > 0.0):
             raise ValueError("the upper left 3x3 must be a rotation")
         if not np.allclose(T[3], _IDENTITY[3]):
             raise ValueError("the last row must be 0 0 0 1")

@@ -44,6 +44,9 @@ def pairs_along_way(p_WI: Array, metres: float) -> IntArray:
     way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(p_WI, axis=0), axis=-1)))
     rows, last = [0], 0.0
     while (row := int(np.searchsorted(way, last + metres))) < len(way):
+        row = max(row, rows[-1] + 1)  # after 1e29 m a metre more is the same number
+        if row == len(way):
+            break
         rows.append(row)
         last = float(way[row])
     return np.array(list(pairwise(rows)), dtype=np.int64).reshape(-1, 2)

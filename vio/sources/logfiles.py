@@ -109,11 +109,8 @@ def read_imu(path: Path, tally: Tally) -> ImuTrack:
     rows = _first_of_each(table, path, "imu", tally)
     t_ns = _taken(table.ints["t_ns"], rows)
     steps = np.diff(t_ns)
-    forward = steps[steps > 0]
-    gaps = int(np.sum(forward > 5 * np.median(forward))) if len(forward) else 0
-    tally.count("imu_gap", f"{path}: a step of more than five times the usual", gaps)
-    _doubt_clock(path, steps, forward, tally)
-    del steps, forward  # 10^7 rows are read within 1 GB
+    _doubt_clock(path, steps, tally)
+    del steps  # 10^7 rows are read within 1 GB
     mean = _taken(table.ints["mean"], rows) == 1 if "mean" in table.ints else None
     arrival = _taken(_arrival(table), rows) if "arrival_ns" in table.ints else t_ns
     gyro, accel = (_taken(table.stack(names), rows) for names in (_GYRO, _ACCEL))
@@ -125,11 +122,15 @@ def _taken(column: np.ndarray, rows: IntArray) -> np.ndarray:
     return column if len(rows) == len(column) else column[rows]
 
 
-def _doubt_clock(path: Path, steps: IntArray, forward: IntArray, tally: Tally) -> None:
-    """Note an IMU that is too slow to integrate, and a clock that steps."""
+def _doubt_clock(path: Path, steps: IntArray, tally: Tally) -> None:
+    """Count gaps; note an IMU that is too slow to integrate, and a clock that steps."""
+    forward = steps[steps > 0]
     if not len(forward):
         return
-    usual_ns = float(np.median(forward))
+    usual_ns = float(np.median(forward, overwrite_input=True))
+    gaps = int(np.sum(forward > 5 * usual_ns))
+    del forward
+    tally.count("imu_gap", f"{path}: a step of more than five times the usual", gaps)
     if usual_ns > _SLOWEST_IMU_NS:
         tally.note(f"{path}: the IMU comes at {1e9 / usual_ns:.3g} Hz; 100 Hz and more are needed"
                    f" (below {1e9 / _SLOWEST_IMU_NS:g} Hz nothing can be integrated)")  # fmt: skip

@@ -48,3 +48,10 @@ def test_agrees_with_evo(unit, delta):
         rpe = RPE(relation, delta=delta, delta_unit=Unit[unit], pairs_from_reference=True)
         rpe.process_data(tuple(theirs))
         assert_allclose(ours, rpe.error, atol=1e-9)
+
+
+def test_a_way_beyond_what_a_metre_can_be_added_to_ends():
+    """A truth of 1e29 m: each row is a pair with the next, and no row is its own."""
+    p = np.zeros((5, 3))
+    p[2:, 0] = 1e29
+    assert_array_equal(pairs_along_way(p, 1.0), [[0, 2], [2, 3], [3, 4]])
