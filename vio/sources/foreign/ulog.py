@@ -1,6 +1,7 @@
 """PX4's ULog (.ulg) by pyulog: the IMU that its filter uses, and a simulator's truth."""
 
 import io
+import os
 import struct
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -57,10 +58,28 @@ def _open(path: Path) -> Any:
     except ImportError:
         raise VioError("ULog files need pyulog: pip install 'tagvio[logs]'") from None
     try:
-        with redirect_stdout(io.StringIO()):  # what it prints of a broken file is counted here
-            return ULog(str(path), [_IMU, _ATTITUDE, _POSITION], disable_str_exceptions=True)
+        with redirect_stdout(io.StringIO()), _Finite(io.FileIO(path)) as file:
+            # what it prints of a broken file is counted here
+            return ULog(file, [_IMU, _ATTITUDE, _POSITION], disable_str_exceptions=True)
     except (ULogException, *_BROKEN) as err:
         raise LogError(f"{path}: not a ULog that can be read ({said(err)})") from None
+
+
+class _Finite(io.BufferedReader):
+    """A file that ends: pyulog goes to and fro for ever in some that are damaged."""
+
+    def __init__(self, raw: io.FileIO) -> None:
+        super().__init__(raw)
+        # a message has 3 bytes and takes 2 reads
+        self._path, self._reads = raw.name, 2 * os.fstat(raw.fileno()).st_size + 1000
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        self._reads -= 1
+        if self._reads < 0:
+            raise LogError(
+                f"{self._path}: not a ULog that can be read (its parts lead in a circle)"
+            )
+        return super().read(size)
 
 
 def _truth(topics: dict[str, Any]) -> Truth | None:

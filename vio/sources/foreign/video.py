@@ -55,8 +55,11 @@ def _frames(path: Path, t_ns: IntArray, tally: Tally) -> Iterator[Frame]:
     video = cv2.VideoCapture(str(path))
     try:
         for i, stamp in enumerate(t_ns.tolist()):
-            there, image = video.read()
-            if not there:
+            try:
+                there, image = video.read()
+            except cv2.error:  # a damaged place; what it says is for programmers
+                there, image = False, None
+            if not there or image is None:
                 missing = len(t_ns) - i
                 tally.count("video_short", f"{path}: no image for these stamps", missing)
                 return
