@@ -2,8 +2,13 @@
 
 import struct
 
+import cv2
+import numpy as np
 import pytest
 from cli_calls import tagvio
+
+from vio.sources.foreign.video import read_video
+from vio.sources.tally import Tally
 
 pytest.importorskip("rosbags")
 MAGIC = b"\x89MCAP0\r\n"
@@ -92,3 +97,19 @@ def test_the_rows_that_the_broken_ones_are_made_of_are_read(tmp_path):
     done = tagvio("convert", tmp_path / "a.bin", "--out", tmp_path / "log")
     assert done.code == 0, done
     assert len((tmp_path / "log/mav0/imu0/data.csv").read_text().splitlines()) == 10
+
+
+def test_a_video_that_claims_millions_of_frames_has_no_more_than_its_bytes_hold(tmp_path):
+    path = tmp_path / "flight.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 10.0, (64, 48))
+    for _ in range(3):
+        writer.write(np.full((48, 64, 3), 90, dtype=np.uint8))
+    writer.release()
+    data = bytearray(path.read_bytes())
+    at = data.index(b"strh") + 8 + 32  # dwLength of the stream
+    data[at : at + 4] = (0xFFFFFF).to_bytes(4, "little")
+    path.write_bytes(data)
+    assert cv2.VideoCapture(str(path)).get(cv2.CAP_PROP_FRAME_COUNT) > 1e6
+    found = read_video(path, None, Tally())
+    assert found.frames is not None
+    assert found.frames.total <= len(data) // 8

@@ -16,6 +16,8 @@ from vio.sources.tally import Tally
 
 STAMPS = Layout("stamps", "timestamp [ns] of each frame, in its order", ("t_ns",), ("t_ns",))
 
+_FRAME_BYTES = 8  # the header of a chunk: no frame of any container takes less
+
 
 def read_video(path: Path, stamps: Path | None, tally: Tally) -> Foreign:
     """Frames of a video, grey, at the stamps of a CSV file or, without one, at the file's rate.
@@ -46,7 +48,8 @@ def _measure(path: Path) -> tuple[int, float]:
         if not video.isOpened():
             raise LogError(f"{path}: not a video that OpenCV can read")
         count, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_FPS)
-        return max(0, int(count)), float(rate)
+        most = path.stat().st_size // _FRAME_BYTES  # a header may claim any number
+        return min(max(0, int(count)), most), float(rate)
     finally:
         video.release()
 
