@@ -20,6 +20,7 @@ from tagvo.fusion import WEIGHT, fuse
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.information import TagBatch, mean_covariance
 from tagvo.joint import JointPose
+from tagvo.lone_tag import with_hidden_shift
 from tagvo.observe import body_poses, observe, quad_area, tag_batch
 from tagvo.outliers import REJECT
 from tagvo.records import (
@@ -262,5 +263,8 @@ class TagVO:
         joint, rival, gap = best_joint(
             (fused.R_WC, fused.p_WC), tags, candidates, area, cfg.joint, judge
         )
+        if len(obs) == 1:
+            joint, misfit = with_hidden_shift(joint, tags)
+            gap /= misfit
         reject = cfg.joint.reject_weight
         return joint, measure_joint(t_ns, joint, rival, gap, obs.tag_id, reject)

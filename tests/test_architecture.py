@@ -27,7 +27,7 @@ TAGVO = (
     {"descent"},
     {"observe", "detect", "tagpose", "ambiguity", "selection", "outliers", "fusion", "joint",
      "smoothing", "track"},
-    {"config", "decide"},
+    {"config", "decide", "lone_tag"},
     {"pipeline"},
     {"mapgen", "mapprint", "mapsurvey", "mapoverlap", "mapview", "mapcheck", "mapdraw",
      "mapformats", "mapshow", "maptile", "mapviews", "mapsearch", "mapdesign", "calibrate",
