@@ -30,6 +30,8 @@ _RATE, _FORCE = 35.0, 160.0  # samples beyond are faults of another kind
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pair:
+    """A turn of C from a_ns to b_ns: phi_C (3,), sigma per axis [rad]; R_WC (3, 3) at a_ns."""
+
     a_ns: int
     b_ns: int
     phi_C: Array
