@@ -4,14 +4,16 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
-from pydantic import BaseModel, Field, PositiveFloat, ValidationError
+from pydantic import (
+    BaseModel,
+    Field,
+    NonNegativeFloat,
+    PositiveFloat,
+    ValidationError,
+    field_validator,
+)
 
-from tagvo.detect.filters import FilterConfig
 from tagvo.errors import ConfigError, shown
-from tagvo.information import FloorConfig
-from tagvo.joint import JointConfig
-from tagvo.outliers import IqrConfig
-from tagvo.track.settings import TrackConfig
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -32,6 +34,80 @@ class NoiseConfig(BaseModel, frozen=True, extra="forbid"):
     corner_px: float = Field(default=0.3, gt=0.0, le=1e3)
     image_px: float = Field(default=0.1, gt=0.0, le=1e3)
     blur: bool = True
+
+
+class IqrConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
+    """How the interquartile range is taken; the paper gives the gain alone."""
+
+    gain: PositiveFloat = 1.5
+    quartiles: Literal["hazen", "linear", "weibull"] = "hazen"
+    floor_m: NonNegativeFloat = 0.001
+
+
+class JointConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
+    """Steps of Gauss-Newton, the robust loss (chi-square of a tag's 8 residuals), and whether the
+    residuals may show that the map was laid better than it states (`laying_evidence`)."""
+
+    max_steps: int = Field(default=12, ge=1, le=100)
+    robust_chi2: PositiveFloat = 26.12  # 99.9 % of chi-square with 8 degrees of freedom
+    reject_weight: PositiveFloat = Field(default=0.25, le=1.0)
+    laying_evidence: bool = True
+
+
+class FloorConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
+    """Standard deviations of what no fusion removes: the errors of the calibration."""
+
+    focal_rel: NonNegativeFloat = 0.001
+    principal_px: NonNegativeFloat = 0.5
+
+
+class TrackConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
+    """Limits of the tracker and of its gate.
+
+    mode: off: every frame is searched whole; on: tags are tracked where a prior allows it.
+    min_side_px: shortest side of a tag worth tracking; max_tags: of one frame, the most useful
+    first; min_tags and min_share: fewer tracked than this, or a smaller share of those tried, and
+    the frame is searched whole; max_sigma_px: prior uncertainty of a corner beyond which nothing is
+    tried; max_errors: cells of one tag that may read wrong; min_contrast: grey values between its
+    white and its black; sweep_s: a full search of strips of the image takes so long to cover it,
+    0: never; strips: how many; adaptive: a search is decimated as far as the tags expected in the
+    image allow (AprilTag library, where tagvo.detector.decimate is null).
+    """
+
+    mode: Literal["off", "on"] = "off"
+    min_side_px: float = Field(default=12.0, ge=8.0)
+    max_tags: int = Field(default=64, ge=1, le=1000)
+    min_tags: int = Field(default=1, ge=1)
+    min_share: float = Field(default=0.5, ge=0.0, le=1.0)
+    max_sigma_px: PositiveFloat = 15.0
+    max_errors: int = Field(default=1, ge=0, le=4)
+    min_contrast: float = Field(default=10.0, ge=4.0)
+    sweep_s: float = Field(default=1.0, ge=0.0)
+    strips: int = Field(default=4, ge=1, le=64)
+    adaptive: bool = True
+
+    @field_validator("mode", mode="before")
+    @classmethod
+    def _as_meant(cls, value: object) -> object:
+        """YAML reads a bare on as true and off as false."""
+        return {True: "on", False: "off"}[value] if isinstance(value, bool) else value
+
+
+class FilterConfig(BaseModel, frozen=True, extra="forbid"):
+    """Limits of the detection filters.
+
+    max_hamming: corrected bits; min_side_px: shortest side [px]; edge_px: least distance of a
+    corner from the image's rim [px], negative: off (tags cut by the rim decode with corners off
+    by up to 11 px; of 4,796 rendered tags of 36h11 that lie 6 px inside none was off by 0.5);
+    min_margin: decision margin, 0 is off (a gate of 30 throws away real tags in dim rooms);
+    duplicate_px: finds of one id that agree so well are one tag.
+    """
+
+    max_hamming: int = Field(1, ge=0)
+    min_side_px: float = Field(6.0, ge=0.0)
+    edge_px: float = Field(6.0, allow_inf_nan=False)
+    min_margin: float = Field(0.0, ge=0.0)
+    duplicate_px: float = Field(2.0, ge=0.0)
 
 
 class TagvoConfig(BaseModel, frozen=True, extra="forbid"):

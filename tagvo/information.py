@@ -8,20 +8,12 @@ same; 8 x 8 is small). Intrinsics errors are common to all tags and travel apart
 from typing import NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, NonNegativeFloat
 
 from tagvo import reprojection
 from tagvo.compiled import add_square, bare, cholesky, inverse_spd, njit
 from tagvo.geometry import Array, IntArray
 
 SYSTEMATIC = 3  # focal length, principal point u, principal point v
-
-
-class FloorConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
-    """Standard deviations of what no fusion removes: the errors of the calibration."""
-
-    focal_rel: NonNegativeFloat = 0.001
-    principal_px: NonNegativeFloat = 0.5
 
 
 class TagBatch(NamedTuple):

@@ -8,25 +8,15 @@ covariance (corner noise and laying errors); a robust loss bounds what a moved t
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import BaseModel, Field, PositiveFloat
 
 from tagvo.compiled import add_square, bare, cholesky, forward, inverse_spd, multiply, njit
+from tagvo.config import JointConfig
 from tagvo.descent import Work, evaluate, minimise, step
 from tagvo.geometry import Array
 from tagvo.information import SYSTEMATIC, TagBatch, systematic_rows, tag_rows
 
 _DECISIVE = 9.0  # in minus twice the log-likelihood
 _FEWEST_FOR_SHARE = 5
-
-
-class JointConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
-    """Steps of Gauss-Newton, the robust loss (chi-square of a tag's 8 residuals), and whether the
-    residuals may show that the map was laid better than it states (`laying_evidence`)."""
-
-    max_steps: int = Field(default=12, ge=1, le=100)
-    robust_chi2: PositiveFloat = 26.12  # 99.9 % of chi-square with 8 degrees of freedom
-    reject_weight: PositiveFloat = Field(default=0.25, le=1.0)
-    laying_evidence: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,8 +4,9 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.camera import Camera, unproject
+from tagvo.config import FloorConfig
 from tagvo.geometry import Array, IntArray
-from tagvo.information import FloorConfig, TagBatch
+from tagvo.information import TagBatch
 from tagvo.records import BodyPoses, Detections, Observations
 from tagvo.tagmap import TagMap
 

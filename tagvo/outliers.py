@@ -1,26 +1,17 @@
 """OR, the paper's outlier removal: interquartile ranges of the positions, axis by axis."""
 
 from collections.abc import Callable
-from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, NonNegativeFloat, PositiveFloat
 
 from tagvo.compiled import njit
+from tagvo.config import IqrConfig
 from tagvo.geometry import Array, BoolArray
 
 _FEWEST = 3  # the paper: at least three elements
 
 # position of the lower quartile among n sorted values counted from 0, a + b n; the upper mirrors it
 _QUARTILE = {"hazen": (-0.5, 0.25), "linear": (-0.25, 0.25), "weibull": (-0.75, 0.25)}
-
-
-class IqrConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
-    """How the interquartile range is taken; the paper gives the gain alone."""
-
-    gain: PositiveFloat = 1.5
-    quartiles: Literal["hazen", "linear", "weibull"] = "hazen"
-    floor_m: NonNegativeFloat = 0.001
 
 
 @njit

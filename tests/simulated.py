@@ -10,7 +10,7 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.camera import Camera, project
-from tagvo.information import FloorConfig
+from tagvo.config import FloorConfig
 from tagvo.records import Detections, Frame
 from tagvo.render import displaced
 from tagvo.tagmap import TagMap, load_map, map_from_dict, tag_corners

@@ -20,6 +20,7 @@ MAX_FILE, MAX_FUNCTION = 400, 60  # lines; the aim is 60-250 and up to 40
 TAGVO = (
     {"errors"},
     {"geometry", "textfile", "families"},
+    {"config"},
     {"compiled", "records", "bitmaps", "sceneconfig"},
     {"camera", "tagmap", "reprojection", "trace"},
     {"calibrations", "information"},
@@ -27,14 +28,14 @@ TAGVO = (
     {"descent"},
     {"observe", "detect", "tagpose", "ambiguity", "selection", "outliers", "fusion", "joint",
      "smoothing", "track"},
-    {"config", "decide", "lone_tag"},
+    {"decide", "lone_tag"},
     {"pipeline"},
     {"mapgen", "mapprint", "mapsurvey", "mapoverlap", "mapview", "mapcheck", "mapdraw",
      "mapformats", "mapshow", "maptile", "mapviews", "mapsearch", "mapdesign", "calibrate",
      "outlines", "shutter", "paint", "patches", "texture", "light", "sensor", "scene", "imaging",
      "render"},
 )  # fmt: skip
-STAGES = TAGVO[6]
+STAGES = TAGVO[7]
 VIO = (
     {"errors"},
     {

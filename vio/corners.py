@@ -8,8 +8,8 @@ know of xi is gathered in information form, then one six-row correction applies 
 import numpy as np
 
 from tagvo.compiled import njit
+from tagvo.config import FloorConfig
 from tagvo.geometry import Array
-from tagvo.information import FloorConfig
 from tagvo.records import Observations
 from tagvo.tagmap import TagMap
 from vio import layout as at

@@ -7,8 +7,8 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.camera import Camera
+from tagvo.config import FloorConfig
 from tagvo.geometry import Array, BoolArray, IntArray
-from tagvo.information import FloorConfig
 from tagvo.records import Observations, PoseMeasurement, PosePrior
 from tagvo.tagmap import TagMap
 from vio import layout as at

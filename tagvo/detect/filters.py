@@ -3,9 +3,9 @@
 from typing import TypeAlias
 
 import numpy as np
-from pydantic import BaseModel, Field
 
 from tagvo.compiled import bare, njit
+from tagvo.config import FilterConfig
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import Detections
 from tagvo.tagmap import TagMap
@@ -16,23 +16,6 @@ CAUSES = (
     "not_on_map", "hamming", "low_margin", "not_finite", "not_convex", "too_small", "at_edge",
     "duplicate",
 )  # fmt: skip
-
-
-class FilterConfig(BaseModel, frozen=True, extra="forbid"):
-    """Limits of the detection filters.
-
-    max_hamming: corrected bits; min_side_px: shortest side [px]; edge_px: least distance of a
-    corner from the image's rim [px], negative: off (tags cut by the rim decode with corners off
-    by up to 11 px; of 4,796 rendered tags of 36h11 that lie 6 px inside none was off by 0.5);
-    min_margin: decision margin, 0 is off (a gate of 30 throws away real tags in dim rooms);
-    duplicate_px: finds of one id that agree so well are one tag.
-    """
-
-    max_hamming: int = Field(1, ge=0)
-    min_side_px: float = Field(6.0, ge=0.0)
-    edge_px: float = Field(6.0, allow_inf_nan=False)
-    min_margin: float = Field(0.0, ge=0.0)
-    duplicate_px: float = Field(2.0, ge=0.0)
 
 
 @bare

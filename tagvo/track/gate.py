@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagvo.compiled import bare, cholesky
+from tagvo.config import TrackConfig
 from tagvo.geometry import Array, BoolArray, shortest_sides
 from tagvo.records import PosePrior
 from tagvo.track.cells import Gray
-from tagvo.track.settings import TrackConfig
 
 _SAME_MOMENT_NS = 1_000_000  # a prior is for this frame when its stamp is this near
 _MAX_ROTATION_RAD = float(np.radians(6.0))  # beyond, the covariance is no ellipse in the image

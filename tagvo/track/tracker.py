@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tagvo.camera import Camera
+from tagvo.config import TrackConfig
 from tagvo.geometry import shortest_sides
 from tagvo.records import Detections, PosePrior
 from tagvo.tagmap import TagMap
@@ -24,7 +25,6 @@ from tagvo.track.gate import (
 )
 from tagvo.track.kernel import track_image
 from tagvo.track.predict import sides_in_view
-from tagvo.track.settings import TrackConfig
 
 _OVERLAP_PX = 40  # of neighbouring strips, for tags that lie across their border
 _AGREE_PX = 2.0  # a tracked tag and the same tag found by the detector

@@ -12,11 +12,12 @@ from simulated import arena, corners_seen, pinhole, pose_above
 
 from tagvo import geometry as geo
 from tagvo.camera import Camera, project
+from tagvo.config import TrackConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.records import PosePrior
 from tagvo.render import Look, exposure_poses, render_view
 from tagvo.tagmap import TagMap
-from tagvo.track import TrackConfig, Tracker
+from tagvo.track import Tracker
 
 SCENES = ("clean", "moved", "hidden", "repeated", "blurred", "noisy", "dark", "mosaic")
 OFF_PX = 2.0

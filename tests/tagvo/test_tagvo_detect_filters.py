@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from pydantic import ValidationError
 
+from tagvo.config import FilterConfig
 from tagvo.detect import filters
-from tagvo.detect.filters import FilterConfig, filter_detections
+from tagvo.detect.filters import filter_detections
 from tagvo.records import Detections
 from tagvo.tagmap import map_from_dict
 

@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from tagvo.config import FilterConfig
 from tagvo.detect import make_detector
-from tagvo.detect.filters import FilterConfig, filter_detections
+from tagvo.detect.filters import filter_detections
 from tagvo.tagmap import load_map
 
 DATA = os.environ.get("TAGVIO_DATA")

@@ -11,9 +11,8 @@ from simulated import DOWN, corners_seen, error_of, grid_map, pinhole, pose_abov
 from strategies import seeds
 
 from tagvo import geometry as geo
-from tagvo.config import TagvoConfig
+from tagvo.config import FloorConfig, TagvoConfig
 from tagvo.information import (
-    FloorConfig,
     accumulate,
     mean_covariance,
     residual_factor,

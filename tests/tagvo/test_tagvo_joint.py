@@ -10,9 +10,8 @@ from simulated import arena, error_of, grid_map, nees, pinhole, pose_above, shot
 from strategies import seeds
 
 from tagvo import geometry as geo
-from tagvo.config import TagvoConfig
-from tagvo.information import FloorConfig
-from tagvo.joint import JointConfig, _misfit, solve_joint
+from tagvo.config import FloorConfig, JointConfig, TagvoConfig
+from tagvo.joint import _misfit, solve_joint
 from tagvo.observe import observe, tag_batch
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame

@@ -68,7 +68,7 @@ def test_a_tag_that_fits_keeps_its_covariance():
 
 
 def batch(tag_map, found):
-    from tagvo.information import FloorConfig
+    from tagvo.config import FloorConfig
 
     obs, _ = observe(found, np.array([0]), CAMERA, SIGMA_PX)
     return tag_batch(obs, tag_map, CAMERA, FloorConfig())

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 from strategies import seeds
 
-from tagvo.outliers import REJECT, IqrConfig, iqr_inliers
+from tagvo.config import IqrConfig
+from tagvo.outliers import REJECT, iqr_inliers
 
 QUARTILES = ("hazen", "linear", "weibull")
 

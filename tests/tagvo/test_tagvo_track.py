@@ -11,12 +11,13 @@ from track_views import CAMERA, COV, HIGH, LOW, MAP, TRACK, prior_of, view
 from tagvo import geometry as geo
 from tagvo.bitmaps import tag_bitmap
 from tagvo.camera import project
+from tagvo.config import TrackConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.errors import TagvoError
 from tagvo.families import FAMILIES
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, PosePrior
-from tagvo.track import TrackConfig, Tracker
+from tagvo.track import Tracker
 from tagvo.track.cells import FLAT, Lens, lens_of, map_arrays, printed_cells
 from tagvo.track.gate import (
     admitted,

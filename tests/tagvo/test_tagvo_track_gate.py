@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from track_views import CAMERA, MAP, TRACK, prior_of, view
 
+from tagvo.config import TrackConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
-from tagvo.track import TrackConfig, Tracker
+from tagvo.track import Tracker
 from tagvo.track.gate import (
     GateState,
     decimate_needed,

@@ -7,7 +7,7 @@ from test_vio_eskf import W, predicted, spread_of
 from test_vio_imu import a_state, minus, retract
 
 from tagvo import geometry as geo
-from tagvo.information import FloorConfig
+from tagvo.config import FloorConfig
 from tagvo.records import Observations
 from tagvo.tagmap import map_from_dict
 from vio import layout as at

@@ -112,8 +112,7 @@ def test_velocity_and_covariance_are_kept_only_where_every_output_has_them():
 
 @pytest.mark.parametrize("size", [(64, 48), (640, 480), (4000, 3000)])
 def test_the_warm_up_gives_a_pose_whatever_the_camera_and_the_filters(size):
-    from tagvo.config import TagvoConfig
-    from tagvo.detect.filters import FilterConfig
+    from tagvo.config import FilterConfig, TagvoConfig
 
     width, height = size
     strict = FilterConfig.model_validate({"min_side_px": 1000.0, "edge_px": 100.0})

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tagvo.camera import Camera
-from tagvo.config import TagvoConfig
+from tagvo.config import TagvoConfig, TrackConfig
 from tagvo.detect import Detector, make_detector
 from tagvo.detect.peers import PlainAruco, PyAprilTags
 from tagvo.detect.protocol import gray_image, no_detections
@@ -16,7 +16,7 @@ from tagvo.geometry import Array, shortest_sides
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
 from tagvo.tagmap import TagMap
-from tagvo.track import TrackConfig, Tracker
+from tagvo.track import Tracker
 from vio.commands.bench_scenes import View
 from vio.stopwatch import clocks_ns, resident_mb
 

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from tagvo.camera import Camera
+from tagvo.config import JointConfig
 from tagvo.geometry import Array, BoolArray
-from tagvo.joint import JointConfig
 from tagvo.pipeline import Trace
 from tagvo.records import Frame, Observations
 from tagvo.tagmap import TagMap
