@@ -20,17 +20,17 @@ T = TypeVar("T")
 _MARKS = (b"@njit", b"@bare", b"@leaf")
 
 
-def drop_stale_code(folders: Iterable[Path]) -> None:
-    """Forget cached machine code older than the newest kernel source in these folders.
+def drop_stale_code(roots: Iterable[Path]) -> None:
+    """Forget cached machine code older than the newest kernel source below these folders.
 
     Numba looks at a kernel's own file alone: after an edit or a `git pull` a caller in another
     file would go on running the old callee that was compiled into it.
     """
-    folders = list(folders)
-    sources = [(p, p.read_bytes()) for d in folders for p in d.glob("*.py")]
+    roots = list(roots)
+    sources = [(p, p.read_bytes()) for root in roots for p in root.rglob("*.py")]
     kernels = [p for p, text in sources if any(mark in text for mark in _MARKS)]
     newest = max((p.stat().st_mtime for p in kernels), default=0.0)
-    for index in (p for d in folders for p in d.glob("__pycache__/*.nb[ic]")):
+    for index in (p for root in roots for p in root.rglob("__pycache__/*.nb[ic]")):
         try:
             if index.stat().st_mtime < newest:
                 index.unlink()
@@ -51,8 +51,8 @@ def _without_blas() -> None:
 _without_blas()
 _jit: Any = numba.njit  # its type hints do not know `_nrt`
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-_HERE = Path(__file__).parent
-drop_stale_code([_HERE, *(d for d in _HERE.iterdir() if d.is_dir())])
+KERNELS = Path(__file__).parent  # of tagvo: all folders below it
+drop_stale_code([KERNELS])
 
 
 def njit(function: Callable[P, T]) -> Callable[P, T]:

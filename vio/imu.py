@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tagvo.compiled import bare, drop_stale_code, njit
+from tagvo.compiled import KERNELS, bare, drop_stale_code, njit
 from tagvo.geometry import Array
 from vio import layout as at
 
-drop_stale_code([Path(__file__).parent])
+drop_stale_code([KERNELS, Path(__file__).parent])  # its kernels call those of tagvo
 
 Quat = tuple[float, float, float, float]
 _SMALL = 1e-4  # half angle [rad] below which sin(h)/h and its kin come from their series
