@@ -9,8 +9,8 @@ from collections.abc import Callable
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.compiled import bare, njit
 from tagvo.geometry import Array, IntArray
+from tagvo.kernels.jit import bare, njit
 from tagvo.records import PosePrior
 
 _SPREAD = np.radians(4.0)  # disagreement at which a tag's vote has half its weight [rad]

@@ -11,8 +11,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tagvo.compiled import bare, leaf, njit
 from tagvo.geometry import Array, BoolArray
+from tagvo.kernels.jit import bare, leaf, njit
 
 Point: TypeAlias = tuple[float, float, float, float, float, float]
 

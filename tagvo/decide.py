@@ -9,8 +9,8 @@ from tagvo import geometry as geo
 from tagvo.ambiguity import DECISIVE, prior_cost
 from tagvo.config import JointConfig
 from tagvo.geometry import Array, IntArray
-from tagvo.information import TagBatch
 from tagvo.joint import JointPose, solve_joint
+from tagvo.kernels.tag_residual import TagBatch
 from tagvo.records import PoseMeasurement, PosePrior
 
 _ALTERNATIVE_TAGS = 3  # so few tags may all flip together: both branches are tried

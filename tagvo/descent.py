@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tagvo.compiled import backward, bare, cholesky, forward, njit, rotated
 from tagvo.geometry import Array
-from tagvo.information import TagBatch, residual_factor, tag_rows
+from tagvo.kernels.jit import backward, bare, cholesky, forward, njit, rotated
+from tagvo.kernels.tag_residual import TagBatch, residual_factor, tag_rows
 
 _SETTLED = 1e-4  # squared length [sigmas] of a step that is taken as the last, unexamined
 _FAR = 100.0  # ten sigmas

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tagvo.compiled import njit, quaternion, rotation
 from tagvo.geometry import Array
+from tagvo.kernels.jit import njit, quaternion, rotation
 
 _QUARTER_TURN = float(np.cos(np.pi / 4.0))  # |q_i . q_j| of two rotations 90 degrees apart
 

@@ -6,7 +6,7 @@ from tagvo import geometry as geo
 from tagvo.camera import Camera, unproject
 from tagvo.config import FloorConfig
 from tagvo.geometry import Array, IntArray
-from tagvo.information import TagBatch
+from tagvo.kernels.tag_residual import TagBatch
 from tagvo.records import BodyPoses, Detections, Observations
 from tagvo.tagmap import TagMap
 

@@ -4,9 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tagvo.compiled import njit
 from tagvo.config import IqrConfig
 from tagvo.geometry import Array, BoolArray
+from tagvo.kernels.jit import njit
 
 _FEWEST = 3  # the paper: at least three elements
 

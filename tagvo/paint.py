@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tagvo.compiled import njit
 from tagvo.geometry import IntArray
+from tagvo.kernels.jit import njit
 from tagvo.trace import (
     BARE,
     BLACK,

@@ -18,8 +18,8 @@ from tagvo.detect.protocol import gray_image
 from tagvo.errors import TagvoError
 from tagvo.fusion import WEIGHT, fuse
 from tagvo.geometry import Array, BoolArray, IntArray
-from tagvo.information import TagBatch, mean_covariance
 from tagvo.joint import JointPose
+from tagvo.kernels.tag_residual import TagBatch, mean_covariance
 from tagvo.lone_tag import with_hidden_shift
 from tagvo.observe import body_poses, observe, quad_area, tag_batch
 from tagvo.outliers import REJECT

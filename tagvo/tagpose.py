@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tagvo import reprojection
-from tagvo.compiled import backward, bare, cholesky, forward, njit, rotated
 from tagvo.geometry import Array
+from tagvo.kernels import projection
+from tagvo.kernels.jit import backward, bare, cholesky, forward, njit, rotated
 from tagvo.records import Observations, TagPoses
 
 _DAMPING = 1e-6  # a trace of Levenberg damping: a tag seen edge-on must not blow up
@@ -136,8 +136,8 @@ def _normal_equations(
     The costs are infinite where a corner is not in front of the camera.
     """
     r, J = work.r, work.J
-    front = reprojection.residual(R, p, X, x_n, J_px_n, r, work.A, work.x_C)
-    reprojection.tag_jacobian(work.A, R, X, J)
+    front = projection.residual(R, p, X, x_n, J_px_n, r, work.A, work.x_C)
+    projection.tag_jacobian(work.A, R, X, J)
     cost, square = 0.0, 0.0
     for i in range(6):
         g[i] = 0.0

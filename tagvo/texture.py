@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tagvo.compiled import njit
 from tagvo.geometry import Array
+from tagvo.kernels.jit import njit
 from tagvo.sceneconfig import TextureConfig
 from tagvo.trace import Array32, Codes
 

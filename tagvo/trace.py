@@ -10,8 +10,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tagvo.compiled import bare, njit
 from tagvo.geometry import IntArray
+from tagvo.kernels.jit import bare, njit
 
 Array32: TypeAlias = NDArray[np.float32]
 Codes: TypeAlias = NDArray[np.uint8]

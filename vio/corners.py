@@ -7,9 +7,9 @@ know of xi is gathered in information form, then one six-row correction applies 
 
 import numpy as np
 
-from tagvo.compiled import njit
 from tagvo.config import FloorConfig
 from tagvo.geometry import Array
+from tagvo.kernels.jit import njit
 from tagvo.records import Observations
 from tagvo.tagmap import TagMap
 from vio import layout as at

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tagvo.compiled import KERNELS, bare, drop_stale_code, njit
 from tagvo.geometry import Array
+from tagvo.kernels.jit import KERNELS, bare, drop_stale_code, njit
 from vio import layout as at
 
 drop_stale_code([KERNELS, Path(__file__).parent])  # its kernels call those of tagvo

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from tagvo.compiled import njit
 from tagvo.geometry import Array
+from tagvo.kernels.jit import njit
 
 _BLOCK = 4  # samples in a mean: what is above a quarter of the rate averages out
 _TRUST = 2.0  # times the stated variance, from which it counts: chance gives 1.3 (1 sigma, 1 s)

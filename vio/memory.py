@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from tagvo.compiled import bare, njit
 from tagvo.geometry import Array
+from tagvo.kernels.jit import bare, njit
 from vio import layout as at
 
 _FORGET = 1.0 - 1.0 / 300.0  # per measurement

@@ -9,8 +9,8 @@ spoils the rotation alone.
 
 import numpy as np
 
-from tagvo.compiled import backward, cholesky, forward, multiply, njit, quaternion
 from tagvo.geometry import Array
+from tagvo.kernels.jit import backward, cholesky, forward, multiply, njit, quaternion
 from tagvo.records import PoseMeasurement
 from vio import layout as at
 

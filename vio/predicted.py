@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from tagvo.compiled import bare, njit
 from tagvo.geometry import Array
+from tagvo.kernels.jit import bare, njit
 from vio import layout as at
 from vio.imu import matrix_into, turn_quat
 

@@ -10,8 +10,8 @@ from collections.abc import Collection
 
 import numpy as np
 
-from tagvo.compiled import bare, njit
 from tagvo.geometry import Array, IntArray
+from tagvo.kernels.jit import bare, njit
 from vio import layout as at
 from vio.corners import correct_corners
 from vio.eskf import correct_clock, correct_pose, correct_rig, correct_still

@@ -4,9 +4,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tagvo.compiled import bare, njit
 from tagvo.config import FilterConfig
 from tagvo.geometry import Array, BoolArray, IntArray
+from tagvo.kernels.jit import bare, njit
 from tagvo.records import Detections
 from tagvo.tagmap import TagMap
 

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
-from tagvo.compiled import bare, leaf
 from tagvo.geometry import Array, BoolArray
+from tagvo.kernels.jit import bare, leaf
 from tagvo.track.cells import Gray, Lens
 from tagvo.track.predict import to_pixel
 

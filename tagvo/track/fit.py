@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tagvo.compiled import bare, leaf, njit
 from tagvo.geometry import Array, BoolArray
+from tagvo.kernels.jit import bare, leaf, njit
 from tagvo.track.cells import FLAT, Gray, Lens, MapArrays
 from tagvo.track.edges import MAX_SCANS, MAX_STEPS, WORK, cross_sides, fit_side, line_variance
 from tagvo.track.predict import extent, to_pixel

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tagvo.compiled import bare, cholesky
 from tagvo.config import TrackConfig
 from tagvo.geometry import Array, BoolArray, shortest_sides
+from tagvo.kernels.jit import bare, cholesky
 from tagvo.records import PosePrior
 from tagvo.track.cells import Gray
 

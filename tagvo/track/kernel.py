@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from tagvo.compiled import bare, njit
 from tagvo.geometry import Array, BoolArray, IntArray
+from tagvo.kernels.jit import bare, njit
 from tagvo.track.cells import Gray, Lens, MapArrays
 from tagvo.track.fit import OUTLIER, TRACKED, Scratch, scratch, track_tag
 from tagvo.track.predict import (

@@ -8,8 +8,8 @@ import math
 import numpy as np
 
 from tagvo.camera import Point, distort_point
-from tagvo.compiled import bare, inverse_spd, leaf, njit, rotated
 from tagvo.geometry import Array, IntArray
+from tagvo.kernels.jit import bare, inverse_spd, leaf, njit, rotated
 from tagvo.track.cells import FLAT, Lens, MapArrays
 
 _NEAR = 0.02  # [m] along z of C

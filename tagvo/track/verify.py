@@ -8,8 +8,8 @@ import math
 import numpy as np
 
 from tagvo.camera import Point
-from tagvo.compiled import bare, cholesky, leaf
 from tagvo.geometry import Array
+from tagvo.kernels.jit import bare, cholesky, leaf
 from tagvo.track.cells import Cells, Gray, Lens
 from tagvo.track.edges import grey
 from tagvo.track.predict import to_pixel

@@ -12,7 +12,7 @@ from strategies import seeds
 
 from tagvo import geometry as geo
 from tagvo.config import FloorConfig, TagvoConfig
-from tagvo.information import (
+from tagvo.kernels.tag_residual import (
     accumulate,
     mean_covariance,
     residual_factor,

@@ -12,8 +12,8 @@ from simulated import DOWN, pinhole
 from strategies import seeds, tilts
 
 from tagvo import geometry as geo
-from tagvo import reprojection
 from tagvo.camera import project, unproject
+from tagvo.kernels import projection
 from tagvo.records import Observations
 from tagvo.tagmap import tag_corners
 from tagvo.tagpose import homography_at_centre, solve_tags
@@ -176,10 +176,10 @@ def test_derivatives_of_the_residual(seed, tilt):
     R_CT, p_CT, X = tag_view(rng, tilt)
     corners_n, J_px_n, _ = unproject(CAMERA, seen(R_CT, p_CT, X)[0])
     r, A, x_C = np.empty(8), np.empty((8, 3)), np.empty((4, 3))
-    assert reprojection.residual(R_CT, p_CT, X[0], corners_n, J_px_n, r, A, x_C)
+    assert projection.residual(R_CT, p_CT, X[0], corners_n, J_px_n, r, A, x_C)
     assert_allclose(r, 0.0, atol=1e-8)
     L, J = np.empty((8, 6)), np.empty((8, 6))
-    reprojection.tag_jacobian(A, R_CT, X[0], L)
+    projection.tag_jacobian(A, R_CT, X[0], L)
     origin = np.eye(3), np.zeros(3)
     tag = central_difference(
         lambda d: pixels_of(CAMERA, *origin, turned(R_CT, d[3:]), p_CT + R_CT @ d[:3], X[0]), 6
@@ -188,7 +188,7 @@ def test_derivatives_of_the_residual(seed, tilt):
     R_WC = geo.exp(rng.standard_normal(3))
     p_WC = rng.standard_normal(3)
     R_WT, p_WT = geo.compose(R_WC, p_WC, R_CT, p_CT)
-    reprojection.camera_jacobian(A, R_WC, x_C, J)
+    projection.camera_jacobian(A, R_WC, x_C, J)
     camera = central_difference(
         lambda d: pixels_of(CAMERA, turned(R_WC, d[3:]), p_WC + d[:3], R_WT, p_WT, X[0]), 6
     )
@@ -200,6 +200,6 @@ def test_a_tag_behind_the_camera_is_told():
     X = tag_corners(np.array([0.1]))[0]
     behind = np.array([0.0, 0.0, -1.0])
     args = np.zeros((4, 2)), np.tile(np.eye(2), (4, 1, 1)), r, A, x_C
-    assert not reprojection.residual(np.eye(3), behind, X, *args)
-    assert reprojection.residual(np.eye(3), -behind, X, *args)
+    assert not projection.residual(np.eye(3), behind, X, *args)
+    assert projection.residual(np.eye(3), -behind, X, *args)
     assert np.isfinite(r).all()

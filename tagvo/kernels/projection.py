@@ -5,8 +5,8 @@ coordinates. The distortion is thus evaluated once a frame, at the measured corn
 are compiled kernels for one tag; they write into their last arguments.
 """
 
-from tagvo.compiled import bare
 from tagvo.geometry import Array
+from tagvo.kernels.jit import bare
 
 _NEAR = 1e-3  # metres in front of the camera below which a corner counts as not visible
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tagvo import reprojection
-from tagvo.compiled import add_square, bare, cholesky, inverse_spd, njit
 from tagvo.geometry import Array, IntArray
+from tagvo.kernels import projection
+from tagvo.kernels.jit import add_square, bare, cholesky, inverse_spd, njit
 
 SYSTEMATIC = 3  # focal length, principal point u, principal point v
 
@@ -52,11 +52,11 @@ def tag_rows(
         for b in range(3):
             p_CT[a] += R_WC[b, a] * (p_WT[b] - p_WC[b])
             R_CT[a, b] = R_WC[0, a] * R_WT[0, b] + R_WC[1, a] * R_WT[1, b] + R_WC[2, a] * R_WT[2, b]
-    front = reprojection.residual(
+    front = projection.residual(
         R_CT, p_CT, X, tags.corners_n[i], tags.J_px_n[i], rows[:, 0], A, x_C
     )
-    reprojection.camera_jacobian(A, R_WC, x_C, rows[:, 1:])
-    reprojection.tag_jacobian(A, R_CT, X, L)
+    projection.camera_jacobian(A, R_WC, x_C, rows[:, 1:])
+    projection.tag_jacobian(A, R_CT, X, L)
     return front
 
 

@@ -51,7 +51,7 @@ def _without_blas() -> None:
 _without_blas()
 _jit: Any = numba.njit  # its type hints do not know `_nrt`
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-KERNELS = Path(__file__).parent  # of tagvo: all folders below it
+KERNELS = Path(__file__).parents[1]  # of tagvo: in any folder of it
 drop_stale_code([KERNELS])
 
 

@@ -1,0 +1,1 @@
+"""Compiled mathematics: the only place where loops over components stand."""
