@@ -7,9 +7,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tagvo.camera import Camera as Camera
-    from tagvo.camera_io import load_camera as load_camera
-    from tagvo.camera_io import save_camera as save_camera
+    from tagvo.camera.calibration import load_camera as load_camera
+    from tagvo.camera.calibration import save_camera as save_camera
+    from tagvo.camera.model import Camera as Camera
     from tagvo.config import TagvoConfig as TagvoConfig
     from tagvo.config import load_tagvo_config as load_tagvo_config
     from tagvo.errors import CameraError as CameraError

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from tagvo import shutter
-from tagvo.camera import Camera, unproject
+from tagvo.camera.model import Camera, unproject
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.light import even_light, flicker, glare_grey, shaded_share
 from tagvo.outlines import boxes_in_view, cells_from_rays

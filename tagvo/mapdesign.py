@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.errors import MapError
 from tagvo.families import FAMILIES, Family
 from tagvo.geometry import Array

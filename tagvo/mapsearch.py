@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.errors import MapError
 from tagvo.geometry import Array, IntArray
 from tagvo.maptile import Square, filled, moved, repeated

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera, project, unproject
+from tagvo.camera.model import Camera, project, unproject
 from tagvo.errors import MapError
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.mapview import View, frontal_view, surfaces_of

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera, unproject
+from tagvo.camera.model import Camera, unproject
 from tagvo.config import FloorConfig
 from tagvo.geometry import Array, IntArray
 from tagvo.kernels.tag_residual import TagBatch

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tagvo.camera import Camera, project
+from tagvo.camera.model import Camera, project
 from tagvo.geometry import Array, BoolArray, IntArray
 
 _NEAR = 1e-3  # [m] along z of C: a rectangle reaching nearer has no outline to trust

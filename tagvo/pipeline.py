@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tagvo.ambiguity import AMBIGUITY, camera_candidates, chi2_gap
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.config import TagvoConfig
 from tagvo.decide import Candidates, best_joint, measure_fused, measure_joint
 from tagvo.detect import Detector, make_detector

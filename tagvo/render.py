@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tagvo import geometry as geo
 from tagvo.bitmaps import tag_bitmap
-from tagvo.camera import Camera, unproject
+from tagvo.camera.model import Camera, unproject
 from tagvo.geometry import Array, IntArray
 from tagvo.imaging import render_frame as render_frame
 from tagvo.outlines import boxes_in_view, cells_from_rays

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.sceneconfig import LensConfig
 from tagvo.trace import Array32
 

@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from tagvo.camera import Camera, project
+from tagvo.camera.model import Camera, project
 from tagvo.geometry import Array
 
 PoseAt: TypeAlias = Callable[[Array], tuple[Array, Array]]

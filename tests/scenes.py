@@ -4,7 +4,7 @@ import numpy as np
 from simulated import DOWN
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera, project
+from tagvo.camera.model import Camera, project
 from tagvo.imaging import render_frame
 from tagvo.scene import LensConfig, SceneConfig, make_scene
 from tagvo.tagmap import map_from_dict

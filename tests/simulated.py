@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera, project
+from tagvo.camera.model import Camera, project
 from tagvo.config import FloorConfig
 from tagvo.records import Detections, Frame
 from tagvo.render import displaced

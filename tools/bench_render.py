@@ -29,7 +29,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated import DOWN, arena
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.render import render_frame, render_view
 from tagvo.scene import LensConfig, Scene, SceneConfig, make_scene
 

@@ -21,7 +21,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from simulated import arena, corners_seen, pinhole, pose_above
 
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame

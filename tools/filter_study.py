@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import PoseMeasurement

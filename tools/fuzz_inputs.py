@@ -12,7 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tagvo.camera_io import load_camera
+from tagvo.camera.calibration import load_camera
 from tagvo.errors import MapError
 from tagvo.mapcheck import check_map_data, summed_up
 from tagvo.mapformats import FORMATS, read_map_file, write_map_file

@@ -6,7 +6,7 @@ from typing import Protocol
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.geometry import Array
 from tagvo.records import Frame, Observations, PoseMeasurement
 from tagvo.smoothing import Fir

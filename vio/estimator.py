@@ -6,7 +6,7 @@ from statistics import median
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.config import FloorConfig
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import Observations, PoseMeasurement, PosePrior

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.geometry import Array
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, Observations, PoseMeasurement, PosePrior

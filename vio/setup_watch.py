@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.geometry import Array
 from tagvo.pipeline import Trace
 from tagvo.records import PoseMeasurement

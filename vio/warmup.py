@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.config import FilterConfig, TagvoConfig, TrackConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.families import FAMILIES

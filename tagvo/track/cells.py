@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagvo.bitmaps import tag_bitmap
-from tagvo.camera import MODELS, Camera, unproject
+from tagvo.camera.model import MODELS, Camera, unproject
 from tagvo.families import Family
 from tagvo.geometry import Array
 from tagvo.tagmap import TagMap

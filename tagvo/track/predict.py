@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from tagvo.camera import Point, distort_point
+from tagvo.camera.model import Point, distort_point
 from tagvo.geometry import Array, IntArray
 from tagvo.kernels.jit import bare, inverse_spd, leaf, njit, rotated
 from tagvo.track.cells import FLAT, Lens, MapArrays

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.config import TrackConfig
 from tagvo.geometry import shortest_sides
 from tagvo.records import Detections, PosePrior

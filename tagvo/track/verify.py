@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from tagvo.camera import Point
+from tagvo.camera.model import Point
 from tagvo.geometry import Array
 from tagvo.kernels.jit import bare, cholesky, leaf
 from tagvo.track.cells import Cells, Gray, Lens

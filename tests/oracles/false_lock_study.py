@@ -11,7 +11,7 @@ import numpy as np
 from simulated import arena, corners_seen, pinhole, pose_above
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera, project
+from tagvo.camera.model import Camera, project
 from tagvo.config import TrackConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.records import PosePrior

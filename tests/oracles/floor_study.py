@@ -11,7 +11,7 @@ import numpy as np
 from simulated import pose_above
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera, project
+from tagvo.camera.model import Camera, project
 from tagvo.config import TagvoConfig
 from tagvo.geometry import Array
 from tagvo.pipeline import TagVO, Trace

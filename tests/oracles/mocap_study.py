@@ -15,8 +15,8 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation, Slerp
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
-from tagvo.camera_io import load_camera
+from tagvo.camera.calibration import load_camera
+from tagvo.camera.model import Camera
 from tagvo.config import TagvoConfig
 from tagvo.geometry import Array, IntArray
 from tagvo.pipeline import TagVO

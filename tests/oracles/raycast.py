@@ -3,7 +3,7 @@
 import numpy as np
 
 from tagvo.bitmaps import tag_bitmap
-from tagvo.camera import unproject
+from tagvo.camera.model import unproject
 
 
 def cast_slowly(tag_map, camera, R_WC, p_WC, look, fine=7):

@@ -4,7 +4,7 @@ import numpy as np
 import scipy.optimize
 from scipy.spatial.transform import Rotation
 
-from tagvo.camera import project
+from tagvo.camera.model import project
 
 
 def central_difference(f, n, step=1e-6):

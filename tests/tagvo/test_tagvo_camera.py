@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from tagvo.camera import Camera, distort, project, projection_jacobian, unproject
+from tagvo.camera.model import Camera, distort, project, projection_jacobian, unproject
 
 INTRINSICS = np.array([458.654, 457.296, 367.215, 248.375])
 RESOLUTION = (752, 480)

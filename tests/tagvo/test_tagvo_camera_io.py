@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
-from tagvo.camera_io import camera_to_yaml, load_camera, save_camera
+from tagvo.camera.calibration import camera_to_yaml, load_camera, save_camera
+from tagvo.camera.model import Camera
 from tagvo.errors import CameraError
 
 KALIBR = """

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
 from tagvo.bitmaps import tag_bitmap
-from tagvo.camera import Camera, project
+from tagvo.camera.model import Camera, project
 from tagvo.detect import make_detector
 from tagvo.detect.apriltag import AprilTagDetector, decimate_for
 from tagvo.detect.aruco import ArucoDetector

@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera, project
+from tagvo.camera.model import Camera, project
 from tagvo.detect.apriltag import AprilTagDetector
 from tagvo.detect.blur import corner_sigma, edge_spread, measured_sigma
 from tagvo.detect.edges import cell_width, refit_corners, sample, signed_area

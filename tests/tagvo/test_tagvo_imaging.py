@@ -289,7 +289,7 @@ def test_the_same_seed_makes_the_same_bytes_in_any_thread():
 
 
 def test_where_the_lens_has_no_inverse_there_is_no_light():
-    from tagvo.camera import Camera
+    from tagvo.camera.model import Camera
 
     wild = Camera("radtan", np.array([60.0, 60, 79.5, 59.5]), np.array([-0.4, 0, 0, 0]), (160, 120))
     image = picture(scene_of(floor_of()), wild, still(DOWN, np.array([0.0, 0.0, 0.8])))

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.lone_tag import corner_rows, with_hidden_shift
 from tagvo.observe import observe, tag_batch
 from tagvo.pipeline import TagVO

@@ -5,7 +5,7 @@ import pytest
 from simulated import DOWN, corners_seen, pinhole
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.detect.apriltag import AprilTagDetector
 from tagvo.errors import MapError
 from tagvo.mapdesign import MapWish, lay_out, plan_map

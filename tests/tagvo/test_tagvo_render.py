@@ -7,7 +7,7 @@ import pytest
 from oracles.raycast import cast_slowly
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera, project
+from tagvo.camera.model import Camera, project
 from tagvo.render import Look, displaced, exposure_poses, render_view
 from tagvo.tagmap import map_from_dict
 

@@ -12,7 +12,7 @@ from simulated import DOWN, pinhole
 from strategies import seeds, tilts
 
 from tagvo import geometry as geo
-from tagvo.camera import project, unproject
+from tagvo.camera.model import project, unproject
 from tagvo.kernels import projection
 from tagvo.records import Observations
 from tagvo.tagmap import tag_corners

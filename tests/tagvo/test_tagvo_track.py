@@ -10,7 +10,7 @@ from track_views import CAMERA, COV, HIGH, LOW, MAP, TRACK, prior_of, view
 
 from tagvo import geometry as geo
 from tagvo.bitmaps import tag_bitmap
-from tagvo.camera import project
+from tagvo.camera.model import project
 from tagvo.config import TrackConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.errors import TagvoError

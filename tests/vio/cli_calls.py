@@ -11,7 +11,7 @@ from simulated import DOWN, corners_seen, grid_map, pinhole
 from small_log import DETECTIONS_HEADER, FRAMES_HEADER, TRUTH_HEADER
 
 from tagvo import geometry as geo
-from tagvo.camera_io import load_camera, save_camera
+from tagvo.camera.calibration import load_camera, save_camera
 from tagvo.tagmap import save_map
 from vio.cli import main
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.records import PoseMeasurement
 from vio.estimator import Estimator
 from vio.records import ImuSample

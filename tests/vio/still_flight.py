@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 
 from tagvo import geometry as geo
-from tagvo.camera_io import load_camera
+from tagvo.camera.calibration import load_camera
 from tagvo.render import render_view
 from tagvo.tagmap import load_map
 

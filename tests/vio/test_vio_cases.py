@@ -10,7 +10,7 @@ import pytest
 from cli_calls import tagvio
 from numpy.testing import assert_allclose
 
-from tagvo.camera_io import load_camera
+from tagvo.camera.calibration import load_camera
 from tagvo.errors import CameraError
 from tagvo.mapformats import read_map_file
 

@@ -300,7 +300,7 @@ def slow_log(root: Path, frames: int = 400) -> Path:
 
 
 def test_ctrl_c_keeps_what_there_is(tmp_path):
-    from tagvo.camera_io import load_camera
+    from tagvo.camera.calibration import load_camera
     from tagvo.config import TagvoConfig
 
     log, out = slow_log(tmp_path), tmp_path / "out"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tagvo.camera_io import load_camera
+from tagvo.camera.calibration import load_camera
 from tagvo.config import TagvoConfig, load_tagvo_config
 from tagvo.errors import ConfigError
 from vio.config import Config, load_config

@@ -14,7 +14,7 @@ from cli_calls import tagvio
 from numpy.testing import assert_allclose, assert_array_equal
 from small_log import CAMERA, TAG_MAP, write_log
 
-from tagvo.camera_io import load_camera
+from tagvo.camera.calibration import load_camera
 from tagvo.errors import CameraError, MapError, TagvoError, shown
 from tagvo.mapcheck import check_map_data, summed_up
 from tagvo.mapformats import read_map_file

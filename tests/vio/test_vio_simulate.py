@@ -15,7 +15,7 @@ from cli_calls import tagvio
 from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
-from tagvo.camera_io import load_camera
+from tagvo.camera.calibration import load_camera
 from tagvo.detect import make_detector
 from vio.evaluate.truth import clean_truth, interpolate
 from vio.sim.scenario import load_scenario

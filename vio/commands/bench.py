@@ -11,7 +11,7 @@ from vio.interrupt import gently
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from tagvo.camera import Camera
+    from tagvo.camera.model import Camera
     from tagvo.tagmap import TagMap
     from vio.commands.bench_measure import Score
     from vio.commands.bench_scenes import View

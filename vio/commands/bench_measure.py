@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.config import TagvoConfig, TrackConfig
 from tagvo.detect import Detector, make_detector
 from tagvo.detect.peers import PlainAruco, PyAprilTags

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera, project
-from tagvo.camera_io import load_camera
+from tagvo.camera.calibration import load_camera
+from tagvo.camera.model import Camera, project
 from tagvo.geometry import Array, IntArray
 from tagvo.records import PosePrior
 from tagvo.render import Image, Look, exposure_poses, render_view

@@ -12,7 +12,7 @@ from vio.errors import LogError
 from vio.sources.foreign.records import Foreign
 
 if TYPE_CHECKING:
-    from tagvo.camera import Camera
+    from tagvo.camera.model import Camera
     from tagvo.records import Frame
     from tagvo.tagmap import TagMap
     from vio.records import ImuNoise
@@ -44,7 +44,7 @@ class Written:
 
 def read_rig(found: Foreign, files: Files, tally: "Tally") -> Rig:
     """The rig of the files named, else what the log itself says; doubts go to the tally."""
-    from tagvo.camera_io import load_camera
+    from tagvo.camera.calibration import load_camera
     from tagvo.mapformats import read_map_file
     from vio.sources.logfiles import read_imu_noise
 

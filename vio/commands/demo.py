@@ -65,7 +65,7 @@ def _vo_arm(log: "FlightLog", config: "Config") -> "list[Estimator]":
 def _fly(log: Path, quick: bool) -> None:
     """Write the flight log; Ctrl-C leaves the frames there are and ends the demo."""
     from tagvo import geometry as geo
-    from tagvo.camera_io import load_camera
+    from tagvo.camera.calibration import load_camera
     from tagvo.tagmap import load_map
     from vio.assets import config_path
     from vio.commands import demo_flight as demo

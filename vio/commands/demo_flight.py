@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.geometry import Array, IntArray
 from tagvo.records import Frame
 from tagvo.render import Image, Look, displaced, render_view

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from tagvo.camera import Camera
+    from tagvo.camera.model import Camera
     from tagvo.geometry import Array
 
 CameraFile = Annotated[
@@ -49,7 +49,7 @@ def heights_of(text: str) -> "Array":
 
 def camera_of(path: Path | None) -> "Camera":
     """The camera of a file, or the arena's."""
-    from tagvo.camera_io import load_camera
+    from tagvo.camera.calibration import load_camera
     from vio.assets import config_path
 
     return load_camera(path or config_path("cameras/arena.yaml"))

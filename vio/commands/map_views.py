@@ -9,7 +9,7 @@ from vio.commands import map_options as opt
 from vio.commands.options import progress
 
 if TYPE_CHECKING:
-    from tagvo.camera import Camera
+    from tagvo.camera.model import Camera
     from tagvo.geometry import Array
     from tagvo.tagmap import TagMap
 

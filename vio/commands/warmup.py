@@ -30,7 +30,7 @@ def command() -> None:
 
 def warm_flight() -> None:
     """Compile tag visual odometry, with either pose, and the filter."""
-    from tagvo.camera_io import load_camera
+    from tagvo.camera.calibration import load_camera
     from vio.assets import config_path
     from vio.config import Config
     from vio.warmup import warm_up
@@ -42,7 +42,7 @@ def warm_flight() -> None:
 
 def warm_pictures() -> None:
     """Compile what works on pictures: the tracker and the renderer."""
-    from tagvo.camera_io import load_camera
+    from tagvo.camera.calibration import load_camera
     from tagvo.tagmap import load_map
     from vio.assets import config_path
     from vio.warmup import warm_renderer, warm_tracker

@@ -9,8 +9,8 @@ from tempfile import TemporaryFile
 import numpy as np
 import yaml
 
-from tagvo.camera import Camera
-from tagvo.camera_io import camera_to_yaml, load_camera
+from tagvo.camera.calibration import camera_to_yaml, load_camera
+from tagvo.camera.model import Camera
 from tagvo.errors import ConfigError
 from tagvo.geometry import Array
 from tagvo.tagmap import TagMap, load_map

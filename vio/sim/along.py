@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.shutter import PoseAt
 from vio.errors import LogError, SimulationError

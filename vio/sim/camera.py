@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat
 
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.geometry import Array, IntArray
 from vio.sim.clocks import Clock, delays, jittered, kept
 from vio.sim.model import Model, Range

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import PoseMeasurement
 from vio.sim.trajectory import Flight

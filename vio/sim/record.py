@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tagvo.camera_io import camera_to_yaml
+from tagvo.camera.calibration import camera_to_yaml
 from tagvo.geometry import Array, IntArray
 from tagvo.records import Frame
 from vio.errors import SimulationError

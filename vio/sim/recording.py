@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
-from tagvo.camera_io import load_camera
+from tagvo.camera.calibration import load_camera
+from tagvo.camera.model import Camera
 from tagvo.geometry import Array, IntArray
 from tagvo.scene import Scene, SceneConfig, make_scene
 from tagvo.shutter import PoseAt

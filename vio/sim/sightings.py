@@ -4,7 +4,7 @@ import numpy as np
 from pydantic import Field, NonNegativeFloat
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera, project
+from tagvo.camera.model import Camera, project
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import Detections
 from tagvo.shutter import PoseAt

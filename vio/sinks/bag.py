@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.detect.apriltag import as_library
 from tagvo.geometry import Array
 from tagvo.records import Detections, Frame

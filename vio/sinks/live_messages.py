@@ -9,7 +9,7 @@ import numpy as np
 from foxglove import messages as fox
 
 from tagvo import geometry as geo
-from tagvo.camera import Camera, project
+from tagvo.camera.model import Camera, project
 from tagvo.geometry import Array, BoolArray
 from tagvo.records import Observations
 from tagvo.tagmap import TagMap

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.config import JointConfig
 from tagvo.geometry import Array, BoolArray
 from tagvo.pipeline import Trace

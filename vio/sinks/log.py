@@ -10,8 +10,8 @@ from typing import Literal, TextIO
 import numpy as np
 import yaml
 
-from tagvo.camera import Camera
-from tagvo.camera_io import save_camera
+from tagvo.camera.calibration import save_camera
+from tagvo.camera.model import Camera
 from tagvo.geometry import Array
 from tagvo.records import Detections, Frame
 from tagvo.tagmap import TagMap, save_map

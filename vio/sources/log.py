@@ -7,8 +7,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from tagvo.camera import Camera
-from tagvo.camera_io import load_camera
+from tagvo.camera.calibration import load_camera
+from tagvo.camera.model import Camera
 from tagvo.geometry import IntArray
 from tagvo.records import Frame
 from tagvo.tagmap import TagMap, load_map

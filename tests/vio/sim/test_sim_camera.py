@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from simulated import arena, corners_seen, grid_map, pinhole, pose_above
 
 from tagvo import geometry as geo
-from tagvo.camera import project
+from tagvo.camera.model import project
 from vio.sim import course as crs
 from vio.sim.camera import CalibrationError, CameraStream, exposures, said_camera
 from vio.sim.clocks import Clock

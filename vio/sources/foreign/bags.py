@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from tagvo.camera import Camera
-from tagvo.camera_io import camera_of
+from tagvo.camera.calibration import camera_of
+from tagvo.camera.model import Camera
 from tagvo.errors import shown
 from tagvo.geometry import Array, IntArray
 from tagvo.records import Detections, Frame

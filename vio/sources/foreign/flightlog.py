@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-from tagvo.camera import Camera
-from tagvo.camera_io import load_camera
+from tagvo.camera.calibration import load_camera
+from tagvo.camera.model import Camera
 from tagvo.records import Frame
 from vio.errors import LogError
 from vio.sources.companion import read_imu_of

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from tagvo.camera import Camera
+from tagvo.camera.model import Camera
 from tagvo.geometry import IntArray
 from tagvo.records import Frame
 from vio.records import ImuTrack, Truth

@@ -9,8 +9,8 @@ import numpy as np
 import yaml
 
 from tagvo import geometry as geo
-from tagvo.calibrations import calibration_data
-from tagvo.camera import Camera
+from tagvo.camera.foreign import calibration_data
+from tagvo.camera.model import Camera
 from tagvo.errors import CameraError, choose_one_of, shown, some_of
 from tagvo.geometry import Array
 from tagvo.textfile import finite_number, finite_numbers, write_atomic

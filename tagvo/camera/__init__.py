@@ -1,0 +1,1 @@
+"""Cameras: the projection model, and reading it from calibration files."""
