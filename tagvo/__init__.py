@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from tagvo.records import PoseMeasurement as PoseMeasurement
     from tagvo.records import PosePrior as PosePrior
     from tagvo.render import render_view as render_view
-    from tagvo.tagmap import TagMap as TagMap
-    from tagvo.tagmap import load_map as load_map
-    from tagvo.tagmap import save_map as save_map
+    from tagvo.tags.tag_map import TagMap as TagMap
+    from tagvo.tags.tag_map import load_map as load_map
+    from tagvo.tags.tag_map import save_map as save_map
 
 _HOME = {
     "Camera": "camera",

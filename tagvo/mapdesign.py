@@ -12,13 +12,13 @@ import numpy as np
 
 from tagvo.camera.model import Camera
 from tagvo.errors import MapError
-from tagvo.families import FAMILIES, Family
 from tagvo.geometry import Array
 from tagvo.mapgen import floor_map
 from tagvo.mapsearch import Found, Grid, anneal, sight_of
 from tagvo.maptile import Square, filled, packed, repeated
 from tagvo.mapviews import MIN_PX
-from tagvo.tagmap import TagMap
+from tagvo.tags.families import FAMILIES, Family
+from tagvo.tags.tag_map import TagMap
 
 SIZES = (0.46, 0.23, 0.115, 0.0575)  # border sides, the paper's [m]
 QUIET_ZONE = 0.0035  # white that has room for an id in print [m]

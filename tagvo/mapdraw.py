@@ -7,7 +7,7 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.mapview import View, nice_step
-from tagvo.tagmap import TagMap, tag_corners
+from tagvo.tags.tag_map import TagMap, tag_corners
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.families import FAMILIES, Family
 from tagvo.geometry import Array, IntArray
 from tagvo.maptile import mirrored_within
-from tagvo.tagmap import TagMap, map_from_dict, map_to_yaml
+from tagvo.tags.families import FAMILIES, Family
+from tagvo.tags.tag_map import TagMap, map_from_dict, map_to_yaml
 from tagvo.textfile import write_atomic
 
 ARENA_SEED = 41

@@ -14,7 +14,7 @@ from tagvo.geometry import IntArray
 from tagvo.mapcheck import size_classes
 from tagvo.mapdraw import AXES, EDGE, INK, class_colours, draw_tags, limits
 from tagvo.mapview import View, corner_view, frontal_view, surface_name, surfaces_of
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

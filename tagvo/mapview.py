@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagvo.geometry import Array, IntArray
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 
 _SAME_SURFACE_COS = 0.97  # faces within 14 degrees of one another make one surface
 _SAME_SURFACE_M = 0.10  # ... where they lie within this of one plane

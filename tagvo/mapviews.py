@@ -15,7 +15,7 @@ from tagvo.camera.model import Camera, project, unproject
 from tagvo.errors import MapError
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.mapview import View, frontal_view, surfaces_of
-from tagvo.tagmap import TagMap, tag_corners
+from tagvo.tags.tag_map import TagMap, tag_corners
 
 MIN_PX = 20.0  # from here the usual decimation by 2 loses no tag
 HEADINGS = (0.0, 0.5 * np.pi)  # [rad] of the image's x axis from the map's

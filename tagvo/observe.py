@@ -8,7 +8,7 @@ from tagvo.config import FloorConfig
 from tagvo.geometry import Array, IntArray
 from tagvo.kernels.tag_residual import TagBatch
 from tagvo.records import BodyPoses, Detections, Observations
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 
 
 def observe(

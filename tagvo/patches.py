@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagvo import geometry as geo
-from tagvo.bitmaps import tag_bitmap
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.sceneconfig import OccluderConfig
-from tagvo.tagmap import TagMap
+from tagvo.tags.bitmaps import tag_bitmap
+from tagvo.tags.tag_map import TagMap
 from tagvo.trace import BARE, BLACK, BLOB, CELLS, FIRST_OBJECT, KNOTS, TORN, WHITE, Codes
 
 _SHADES = np.array([1.0, 0.75, 0.5])  # an object's three codes: top, bright and dark sides

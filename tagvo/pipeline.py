@@ -33,8 +33,8 @@ from tagvo.records import (
     TagPoses,
 )
 from tagvo.selection import SELECT
-from tagvo.tagmap import TagMap
 from tagvo.tagpose import solve_tags
+from tagvo.tags.tag_map import TagMap
 from tagvo.track.gate import exact
 from tagvo.track.tracker import Tracker
 

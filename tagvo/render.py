@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagvo import geometry as geo
-from tagvo.bitmaps import tag_bitmap
 from tagvo.camera.model import Camera, unproject
 from tagvo.geometry import Array, IntArray
 from tagvo.imaging import render_frame as render_frame
 from tagvo.outlines import boxes_in_view, cells_from_rays
 from tagvo.scene import displaced as displaced
 from tagvo.sensor import Image as Image
-from tagvo.tagmap import TagMap
+from tagvo.tags.bitmaps import tag_bitmap
+from tagvo.tags.tag_map import TagMap
 
 Image32: TypeAlias = NDArray[np.float32]
 

@@ -14,7 +14,7 @@ from tagvo.light import even_light, lamps_over
 from tagvo.patches import Patches, joined, object_patches, tag_patches
 from tagvo.sceneconfig import LensConfig as LensConfig
 from tagvo.sceneconfig import SceneConfig as SceneConfig
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from tagvo.texture import Texture, make_texture
 from tagvo.trace import BLACK, FIRST_OBJECT, WHITE
 

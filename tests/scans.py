@@ -13,7 +13,7 @@ import numpy as np
 import pypdfium2 as pdfium
 
 from tagvo.detect.apriltag import AprilTagDetector
-from tagvo.families import FAMILIES
+from tagvo.tags.families import FAMILIES
 
 _CORNER = re.compile(r"cut corner at x (-?[\d.]+) m, y (-?[\d.]+) m in W")
 

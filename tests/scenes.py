@@ -7,7 +7,7 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera, project
 from tagvo.imaging import render_frame
 from tagvo.scene import LensConfig, SceneConfig, make_scene
-from tagvo.tagmap import map_from_dict
+from tagvo.tags.tag_map import map_from_dict
 
 LENSES = {
     "none": ([530.0, 530.0, 319.5, 239.5], []),

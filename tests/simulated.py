@@ -13,7 +13,7 @@ from tagvo.camera.model import Camera, project
 from tagvo.config import FloorConfig
 from tagvo.records import Detections, Frame
 from tagvo.render import displaced
-from tagvo.tagmap import TagMap, load_map, map_from_dict, tag_corners
+from tagvo.tags.tag_map import TagMap, load_map, map_from_dict, tag_corners
 
 DOWN = np.diag([1.0, -1.0, -1.0])  # R_WC of a camera that looks straight down
 ARENA = Path(__file__).parents[1] / "configs" / "maps" / "arena.yaml"

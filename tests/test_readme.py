@@ -130,7 +130,7 @@ def test_python_blocks_run(clone):
 
 
 def test_the_yaml_block_is_a_map_that_loads():
-    from tagvo.tagmap import map_from_dict
+    from tagvo.tags.tag_map import map_from_dict
     from tagvo.textfile import parse_yaml
 
     (text,) = blocks("yaml")

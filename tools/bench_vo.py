@@ -26,7 +26,7 @@ from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
 from tagvo.render import displaced
-from tagvo.tagmap import TagMap, tag_corners
+from tagvo.tags.tag_map import TagMap, tag_corners
 
 STAGES = ("detect", "tagpose", "select", "fuse", "joint")
 HEIGHT = 1.3  # m; 30 tags and more are in view almost everywhere

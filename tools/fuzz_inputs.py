@@ -17,7 +17,7 @@ from tagvo.errors import MapError
 from tagvo.mapcheck import check_map_data, summed_up
 from tagvo.mapformats import FORMATS, read_map_file, write_map_file
 from tagvo.records import Detections, Frame
-from tagvo.tagmap import load_map, map_from_dict
+from tagvo.tags.tag_map import load_map, map_from_dict
 from tagvo.textfile import read_yaml
 from vio.config import load_config
 from vio.mavlink.dialect import read_key

@@ -11,7 +11,7 @@ from tagvo.config import FloorConfig
 from tagvo.geometry import Array
 from tagvo.kernels.jit import njit
 from tagvo.records import Observations
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from vio import layout as at
 from vio.eskf import (
     GATE_8,

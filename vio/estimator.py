@@ -10,7 +10,7 @@ from tagvo.camera.model import Camera
 from tagvo.config import FloorConfig
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import Observations, PoseMeasurement, PosePrior
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from vio import layout as at
 from vio.corners import pack
 from vio.health import Health, Signs, judge

@@ -12,7 +12,7 @@ from tagvo.camera.model import Camera
 from tagvo.geometry import Array
 from tagvo.pipeline import Trace
 from tagvo.records import PoseMeasurement
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from vio.records import ImuSample
 from vio.setup_check import StatedRig, Turns, check_force, check_setup, enough, moving
 from vio.setup_findings import Finding

@@ -10,10 +10,10 @@ import numpy as np
 
 from tagvo.detect import make_detector
 from tagvo.errors import DetectorError, some_of
-from tagvo.families import FAMILIES
 from tagvo.geometry import IntArray
 from tagvo.records import Detections
-from tagvo.tagmap import TagMap
+from tagvo.tags.families import FAMILIES
+from tagvo.tags.tag_map import TagMap
 
 _SHARE = 0.02  # of the frames: a misread code comes less often, a tag that is there more often
 _ENOUGH_FRAMES = 30  # a second of a camera: fewer say little of a share

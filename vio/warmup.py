@@ -10,11 +10,11 @@ import numpy as np
 from tagvo.camera.model import Camera
 from tagvo.config import FilterConfig, TagvoConfig, TrackConfig
 from tagvo.detect.protocol import no_detections
-from tagvo.families import FAMILIES
 from tagvo.geometry import Array
 from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Detections, Frame, PoseMeasurement, PosePrior
-from tagvo.tagmap import TagMap, map_from_dict
+from tagvo.tags.families import FAMILIES
+from tagvo.tags.tag_map import TagMap, map_from_dict
 from tagvo.track import Tracker
 from vio.estimator import USUAL_NOISE, Estimator
 from vio.records import ImuSample

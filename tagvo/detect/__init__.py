@@ -2,7 +2,7 @@
 
 from tagvo.detect.protocol import Detector
 from tagvo.errors import DetectorError, choose_one_of
-from tagvo.families import Family
+from tagvo.tags.families import Family
 
 LIBRARIES = ("auto", "apriltag", "aruco")
 

@@ -7,9 +7,9 @@ import numpy as np
 from tagvo.detect.edges import Gray
 from tagvo.detect.protocol import gray_image, no_detections
 from tagvo.errors import DetectorError
-from tagvo.families import FAMILIES, Family
 from tagvo.geometry import Array
 from tagvo.records import Detections
+from tagvo.tags.families import FAMILIES, Family
 
 _UPRIGHT = [3, 2, 1, 0]  # the library's order is BL, BR, TR, TL
 _PIXEL_CENTRE = 0.5  # where the library puts the centre of the first pixel

@@ -13,9 +13,9 @@ from tagvo.detect.decode import Codes, codes, read_bits, upright
 from tagvo.detect.edges import Gray, refit_corners, signed_area
 from tagvo.detect.protocol import gray_image, no_detections
 from tagvo.errors import DetectorError
-from tagvo.families import FAMILIES, Family
 from tagvo.geometry import Array, BoolArray
 from tagvo.records import Detections
+from tagvo.tags.families import FAMILIES, Family
 
 _MIN_AREA_PX = 64.0  # no family can be read in less than 8 x 8 pixels
 _MIN_IMAGE_PX = 8

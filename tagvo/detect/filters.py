@@ -8,7 +8,7 @@ from tagvo.config import FilterConfig
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.kernels.jit import bare, njit
 from tagvo.records import Detections
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 
 Resolution: TypeAlias = tuple[int, int]
 _MIN_SINE = 0.05  # below 3 deg between neighbouring sides a quad is a line for all purposes

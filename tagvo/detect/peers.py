@@ -7,8 +7,8 @@ import numpy as np
 from tagvo.detect.edges import Gray
 from tagvo.detect.protocol import gray_image, no_detections
 from tagvo.errors import DetectorError
-from tagvo.families import Family
 from tagvo.records import Detections
+from tagvo.tags.families import Family
 
 _PIXEL_CENTRE = 0.5
 

@@ -19,7 +19,7 @@ from tagvo.mapformats import (
     wpilib,
 )
 from tagvo.mapformats.common import Content, Format, Imported, ReadOptions, losses_of
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from tagvo.textfile import parse_json, parse_yaml, read_text, write_atomic
 
 __all__ = ["FORMATS", "Format", "Imported", "guess_format", "read_map_file", "write_map_file"]

@@ -17,7 +17,7 @@ from tagvo.mapformats.common import (
     need_mapping,
     tag_dicts,
 )
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 
 TITLE = "apriltag_ros (ROS 1) tags.yaml"
 

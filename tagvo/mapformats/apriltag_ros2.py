@@ -8,9 +8,9 @@ import numpy as np
 import yaml
 
 from tagvo.errors import MapError, shown
-from tagvo.families import Family, family_named
 from tagvo.mapformats.common import Content, Exported, Format, Imported, ReadOptions
-from tagvo.tagmap import TagMap, map_from_dict, map_to_dict
+from tagvo.tags.families import Family, family_named
+from tagvo.tags.tag_map import TagMap, map_from_dict, map_to_dict
 
 TITLE = "apriltag_ros (ROS 2) parameters"
 

@@ -17,7 +17,7 @@ from tagvo.mapformats.common import (
     table_rows,
     tag_dicts,
 )
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 
 TITLE = "Clover map.txt"
 _COLUMNS = ("id", "length", "x", "y", "z", "yaw", "pitch", "roll")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 from tagvo.errors import MapError, shown
-from tagvo.tagmap import TagMap, map_from_dict, map_to_dict
+from tagvo.tags.tag_map import TagMap, map_from_dict, map_to_dict
 from tagvo.textfile import is_number
 
 Content: TypeAlias = dict[str, Any] | list[list[str]]  # a mapping (YAML, JSON) or rows of words

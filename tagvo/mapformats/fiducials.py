@@ -19,7 +19,7 @@ from tagvo.mapformats.common import (
     table_rows,
     tag_dicts,
 )
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 
 TITLE = "fiducials map"
 _COLUMNS = ("id", "x", "y", "z", "rx", "ry", "rz", "variance", "numObs")

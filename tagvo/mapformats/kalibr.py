@@ -21,7 +21,7 @@ from tagvo.mapformats.common import (
     field,
     need_mapping,
 )
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from tagvo.textfile import finite_number
 
 TITLE = "Kalibr aprilgrid target"

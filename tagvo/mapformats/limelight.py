@@ -13,7 +13,6 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.errors import MapError, shown
-from tagvo.families import FAMILIES
 from tagvo.geometry import Array
 from tagvo.mapformats.common import (
     Content,
@@ -28,7 +27,8 @@ from tagvo.mapformats.common import (
     tag_dicts,
 )
 from tagvo.mapformats.wpilib import R_FT
-from tagvo.tagmap import TagMap, numbers
+from tagvo.tags.families import FAMILIES
+from tagvo.tags.tag_map import TagMap, numbers
 from tagvo.textfile import finite_number
 
 TITLE = "Limelight .fmap"

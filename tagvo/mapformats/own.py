@@ -1,7 +1,6 @@
 """The house's own `tagmap.yaml`: it holds everything."""
 
 from tagvo.errors import MapError
-from tagvo.families import family_named
 from tagvo.mapformats.common import (
     HOLDABLE,
     Content,
@@ -11,7 +10,8 @@ from tagvo.mapformats.common import (
     ReadOptions,
     need_mapping,
 )
-from tagvo.tagmap import TagMap, map_from_dict, map_to_yaml
+from tagvo.tags.families import family_named
+from tagvo.tags.tag_map import TagMap, map_from_dict, map_to_yaml
 
 
 def _recognises(content: Content) -> bool:

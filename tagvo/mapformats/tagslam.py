@@ -27,7 +27,7 @@ from tagvo.mapformats.common import (
     tag_dicts,
     xyz,
 )
-from tagvo.tagmap import TagMap, numbers
+from tagvo.tags.tag_map import TagMap, numbers
 
 TITLE = "TagSLAM poses"
 

@@ -30,7 +30,7 @@ from tagvo.mapformats.common import (
     tag_dicts,
     xyz,
 )
-from tagvo.tagmap import TagMap, unit_quaternion
+from tagvo.tags.tag_map import TagMap, unit_quaternion
 
 R_FT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # T in FRC's tag frame F
 _INCH = 0.0254  # [m]

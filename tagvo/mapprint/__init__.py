@@ -16,7 +16,7 @@ from tagvo.mapprint.index import class_lines, draw_index, draw_list, list_pages
 from tagvo.mapprint.pen import Pen, text_width
 from tagvo.mapprint.plane import Number, numbers_beside, plane_of
 from tagvo.mapprint.sheet import Drawing, draw_sheet, place_of
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from tagvo.textfile import write_atomic
 
 _WHITE = 0.002  # around the outermost tags [m]

@@ -11,7 +11,7 @@ from tagvo.mapprint.cutting import PAPERS
 from tagvo.mapprint.pen import Colour, Pen, fitted, text_width
 from tagvo.mapprint.sheet import GREY, HAIR, THIN, Drawing
 from tagvo.mapview import nice_step
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 
 _MARGIN = 0.015  # of the page [m]
 _LEFT, _BELOW = 0.010, 0.014  # room for the plan's axes

@@ -4,9 +4,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from tagvo.bitmaps import Cells, tag_bitmap
-from tagvo.families import Family
 from tagvo.geometry import Array, BoolArray
+from tagvo.tags.bitmaps import Cells, tag_bitmap
+from tagvo.tags.families import Family
 
 _RIGHT, _DOWN, _LEFT, _UP = (1, 0), (0, 1), (-1, 0), (0, -1)
 

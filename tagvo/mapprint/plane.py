@@ -14,7 +14,7 @@ from tagvo.errors import MapError
 from tagvo.geometry import Array, IntArray
 from tagvo.mapprint.outlines import tag_outlines
 from tagvo.mapview import View, frontal_view
-from tagvo.tagmap import TagMap, tag_corners
+from tagvo.tags.tag_map import TagMap, tag_corners
 
 _FLAT_COS, _FLAT_M = np.cos(np.radians(2.0)), 0.02  # what may be pressed flat
 _HEIGHTS = ((0.003, 0.002, 0.0015), (0.0012, 0.0009))  # of numbers [m], the best first

@@ -5,11 +5,11 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tagvo.bitmaps import tag_bitmap
 from tagvo.camera.model import MODELS, Camera, unproject
-from tagvo.families import Family
 from tagvo.geometry import Array
-from tagvo.tagmap import TagMap
+from tagvo.tags.bitmaps import tag_bitmap
+from tagvo.tags.families import Family
+from tagvo.tags.tag_map import TagMap
 
 Cells: TypeAlias = NDArray[np.int8]
 Gray: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]

@@ -10,7 +10,7 @@ from tagvo.camera.model import Camera
 from tagvo.config import TrackConfig
 from tagvo.geometry import shortest_sides
 from tagvo.records import Detections, PosePrior
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from tagvo.track.cells import Gray, lens_of, map_arrays
 from tagvo.track.fit import FATES
 from tagvo.track.gate import (

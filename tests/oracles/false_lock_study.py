@@ -16,7 +16,7 @@ from tagvo.config import TrackConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.records import PosePrior
 from tagvo.render import Look, exposure_poses, render_view
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from tagvo.track import Tracker
 
 SCENES = ("clean", "moved", "hidden", "repeated", "blurred", "noisy", "dark", "mosaic")

@@ -17,7 +17,7 @@ from tagvo.geometry import Array
 from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Detections, Frame
 from tagvo.render import Look, displaced, render_view
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 
 SELECTIONS = {  # the paper's name: THS, OR
     "JBT": ("JBT", "none"),

@@ -21,7 +21,7 @@ from tagvo.config import TagvoConfig
 from tagvo.geometry import Array, IntArray
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
-from tagvo.tagmap import TagMap, load_map
+from tagvo.tags.tag_map import TagMap, load_map
 from vio.sources.frames import read_image
 from vio.sources.logfiles import read_detections
 from vio.sources.tally import Tally

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from tagvo.bitmaps import tag_bitmap
 from tagvo.camera.model import unproject
+from tagvo.tags.bitmaps import tag_bitmap
 
 
 def cast_slowly(tag_map, camera, R_WC, p_WC, look, fine=7):

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from tagvo import bitmaps
-from tagvo.bitmaps import tag_bitmap
 from tagvo.errors import DetectorError
-from tagvo.families import FAMILIES, Family
+from tagvo.tags import bitmaps
+from tagvo.tags.bitmaps import tag_bitmap
+from tagvo.tags.families import FAMILIES, Family
 
 APRIL = [f for f in FAMILIES.values() if f.apriltag]
 BOTH = [f for f in APRIL if f.aruco]

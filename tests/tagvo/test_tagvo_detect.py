@@ -7,16 +7,16 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
-from tagvo.bitmaps import tag_bitmap
 from tagvo.camera.model import Camera, project
 from tagvo.detect import make_detector
 from tagvo.detect.apriltag import AprilTagDetector, decimate_for
 from tagvo.detect.aruco import ArucoDetector
 from tagvo.detect.decode import codes, read_bits, upright
 from tagvo.errors import DetectorError
-from tagvo.families import FAMILIES
 from tagvo.render import render_view
-from tagvo.tagmap import TagMap, map_from_dict
+from tagvo.tags.bitmaps import tag_bitmap
+from tagvo.tags.families import FAMILIES
+from tagvo.tags.tag_map import TagMap, map_from_dict
 
 F_PX = 600.0
 DOWN = np.diag([1.0, -1.0, -1.0])  # R_WC of a camera that looks down, image up is +y

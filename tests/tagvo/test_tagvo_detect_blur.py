@@ -12,7 +12,7 @@ from tagvo.detect.blur import corner_sigma, edge_spread, measured_sigma
 from tagvo.detect.edges import cell_width, refit_corners, sample, signed_area
 from tagvo.detect.filters import away_from_edge
 from tagvo.render import exposure_poses, render_view
-from tagvo.tagmap import map_from_dict
+from tagvo.tags.tag_map import map_from_dict
 
 F_PX = 600.0
 CAMERA = Camera("none", np.array([F_PX, F_PX, 159.5, 119.5]), np.zeros(4), (320, 240))

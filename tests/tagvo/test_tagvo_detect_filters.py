@@ -11,7 +11,7 @@ from tagvo.config import FilterConfig
 from tagvo.detect import filters
 from tagvo.detect.filters import filter_detections
 from tagvo.records import Detections
-from tagvo.tagmap import map_from_dict
+from tagvo.tags.tag_map import map_from_dict
 
 SQUARE = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 20.0], [0.0, 20.0]])  # clockwise, y down
 SIZE = (640, 480)

@@ -10,7 +10,7 @@ import pytest
 from tagvo.config import FilterConfig
 from tagvo.detect import make_detector
 from tagvo.detect.filters import filter_detections
-from tagvo.tagmap import load_map
+from tagvo.tags.tag_map import load_map
 
 DATA = os.environ.get("TAGVIO_DATA")
 pytestmark = pytest.mark.skipif(not DATA, reason="TAGVIO_DATA is not set")

@@ -25,7 +25,7 @@ from tagvo import geometry as geo
 from tagvo.detect import make_detector
 from tagvo.render import Look, render_view
 from tagvo.scene import LensConfig
-from tagvo.tagmap import map_from_dict
+from tagvo.tags.tag_map import map_from_dict
 
 HEIGHT = np.array([0.02, -0.03, 0.45])
 LOOK = Look(black=25.0, white=225.0, floor=128.0)

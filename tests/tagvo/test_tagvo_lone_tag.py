@@ -10,7 +10,7 @@ from tagvo.lone_tag import corner_rows, with_hidden_shift
 from tagvo.observe import observe, tag_batch
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
-from tagvo.tagmap import map_from_dict
+from tagvo.tags.tag_map import map_from_dict
 
 CAMERA = Camera("none", np.array([530.0, 530.0, 320.0, 240.0]), np.zeros(4), (640, 480))
 SIGMA_PX = 0.3

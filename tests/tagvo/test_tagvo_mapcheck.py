@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from tagvo.errors import MapError
 from tagvo.mapcheck import check_map_data, size_classes
-from tagvo.tagmap import map_from_dict
+from tagvo.tags.tag_map import map_from_dict
 from tagvo.textfile import read_yaml
 
 DATA = os.environ.get("TAGVIO_DATA")

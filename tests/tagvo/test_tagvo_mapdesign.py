@@ -9,12 +9,12 @@ import pytest
 from simulated import arena, pinhole
 
 from tagvo.errors import MapError
-from tagvo.families import FAMILIES
 from tagvo.mapcheck import check_map_data
 from tagvo.mapdesign import MapWish, lay_out, plan_map, search_tile, usual_shares
 from tagvo.maptile import filled, mirrored_within, moved, packed, repeated
 from tagvo.mapviews import counts_in_view, heights_between, score
-from tagvo.tagmap import load_map, map_to_dict, save_map
+from tagvo.tags.families import FAMILIES
+from tagvo.tags.tag_map import load_map, map_to_dict, save_map
 
 HEIGHTS = heights_between(0.3, 2.5)
 

@@ -14,10 +14,10 @@ from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
 from tagvo.errors import MapError
-from tagvo.families import FAMILIES
 from tagvo.mapformats import FORMATS, read_map_file, write_map_file
 from tagvo.mapformats.common import HOLDABLE
-from tagvo.tagmap import Gravity, TagMap, load_map, save_map
+from tagvo.tags.families import FAMILIES
+from tagvo.tags.tag_map import Gravity, TagMap, load_map, save_map
 
 DATA = os.environ.get("TAGVIO_DATA")
 POSED = [name for name in FORMATS if name not in ("kalibr", "apriltag_ros2")]

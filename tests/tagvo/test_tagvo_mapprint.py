@@ -12,13 +12,13 @@ import pytest
 from scans import crop_corner, detect, image_objects, line_at, mosaic, pages
 
 from tagvo import geometry as geo
-from tagvo.bitmaps import tag_bitmap
 from tagvo.errors import MapError
 from tagvo.mapdesign import MapWish, lay_out, plan_map
 from tagvo.mapprint import draw_print, plan_print
 from tagvo.mapprint.cutting import LONGEST, PAPERS, Paper
 from tagvo.mapsearch import Found
-from tagvo.tagmap import map_from_dict, map_to_dict
+from tagvo.tags.bitmaps import tag_bitmap
+from tagvo.tags.tag_map import map_from_dict, map_to_dict
 
 BAR_MM = 0.1
 NEAR = np.array([16.0, 31.0])  # the cut corner of a sheet: margin, marks, overlap; and the footer

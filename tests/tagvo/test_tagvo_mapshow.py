@@ -15,7 +15,7 @@ from tagvo import geometry as geo
 from tagvo.errors import MapError
 from tagvo.mapshow import draw_map
 from tagvo.mapview import corner_view, frontal_view, nice_step, surfaces_of
-from tagvo.tagmap import TagMap, map_from_dict
+from tagvo.tags.tag_map import TagMap, map_from_dict
 
 FLOOR = (1.0, 0.0, 0.0, 0.0)
 FACING_MINUS_Y = tuple(geo.quat_from_matrix(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])))

@@ -13,8 +13,8 @@ from strategies import seeds
 
 from tagvo import geometry as geo
 from tagvo.errors import MapError
-from tagvo.families import FAMILIES, family_named
-from tagvo.tagmap import load_map, map_from_dict, map_to_yaml, save_map
+from tagvo.tags.families import FAMILIES, family_named
+from tagvo.tags.tag_map import load_map, map_from_dict, map_to_yaml, save_map
 
 GOOD = {
     "family": "tag36h11",

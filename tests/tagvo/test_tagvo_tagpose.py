@@ -15,8 +15,8 @@ from tagvo import geometry as geo
 from tagvo.camera.model import project, unproject
 from tagvo.kernels import projection
 from tagvo.records import Observations
-from tagvo.tagmap import tag_corners
 from tagvo.tagpose import homography_at_centre, solve_tags
+from tagvo.tags.tag_map import tag_corners
 
 CAMERA = pinhole()
 

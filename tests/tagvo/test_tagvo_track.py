@@ -9,14 +9,14 @@ from simulated import corners_seen, pinhole, pose_above
 from track_views import CAMERA, COV, HIGH, LOW, MAP, TRACK, prior_of, view
 
 from tagvo import geometry as geo
-from tagvo.bitmaps import tag_bitmap
 from tagvo.camera.model import project
 from tagvo.config import TrackConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.errors import TagvoError
-from tagvo.families import FAMILIES
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, PosePrior
+from tagvo.tags.bitmaps import tag_bitmap
+from tagvo.tags.families import FAMILIES
 from tagvo.track import Tracker
 from tagvo.track.cells import FLAT, Lens, lens_of, map_arrays, printed_cells
 from tagvo.track.gate import (

@@ -12,7 +12,7 @@ from small_log import DETECTIONS_HEADER, FRAMES_HEADER, TRUTH_HEADER
 
 from tagvo import geometry as geo
 from tagvo.camera.calibration import load_camera, save_camera
-from tagvo.tagmap import save_map
+from tagvo.tags.tag_map import save_map
 from vio.cli import main
 
 T0, STEP = 1_403_638_519_492_829_441, 50_000_000

@@ -18,7 +18,7 @@ import yaml
 from tagvo import geometry as geo
 from tagvo.camera.calibration import load_camera
 from tagvo.render import render_view
-from tagvo.tagmap import load_map
+from tagvo.tags.tag_map import load_map
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 P_WI = np.array([1.5, 2.5, 1.4])

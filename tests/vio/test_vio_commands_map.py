@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from tagvo.errors import MapError
 from tagvo.mapformats import FORMATS
-from tagvo.tagmap import load_map
+from tagvo.tags.tag_map import load_map
 from vio.commands.map import MapFormat, app
 
 DATA = os.environ.get("TAGVIO_DATA")

@@ -9,7 +9,7 @@ from cli_calls import tagvio
 from scans import detect, pages
 
 from tagvo.mapprint.cutting import PAPERS
-from tagvo.tagmap import load_map
+from tagvo.tags.tag_map import load_map
 from vio.commands import map_new
 from vio.commands.map_print import PaperName
 

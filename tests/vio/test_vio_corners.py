@@ -9,7 +9,7 @@ from test_vio_imu import a_state, minus, retract
 from tagvo import geometry as geo
 from tagvo.config import FloorConfig
 from tagvo.records import Observations
-from tagvo.tagmap import map_from_dict
+from tagvo.tags.tag_map import map_from_dict
 from vio import layout as at
 from vio.corners import correct_corners, pack, tag_residual
 from vio.predicted import camera_jacobian

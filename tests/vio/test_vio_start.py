@@ -8,7 +8,7 @@ from flights import CAMERA, CLEAN, edit_imu, edit_poses, fly, replay, states_bet
 from simulated import arena
 
 from tagvo import geometry as geo
-from tagvo.tagmap import Gravity
+from tagvo.tags.tag_map import Gravity
 from vio import layout as at
 from vio.health import Health, Signs, State, judge
 from vio.recovery import LostWatch

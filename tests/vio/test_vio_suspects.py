@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from oracles.suspect_study import MOVED_M, a_tag, flight, judged
 
 from tagvo import geometry as geo
-from tagvo.tagmap import load_map, save_map
+from tagvo.tags.tag_map import load_map, save_map
 from vio.evaluate import suspects
 from vio.evaluate.sightings import Sightings
 

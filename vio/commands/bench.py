@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from tagvo.camera.model import Camera
-    from tagvo.tagmap import TagMap
+    from tagvo.tags.tag_map import TagMap
     from vio.commands.bench_measure import Score
     from vio.commands.bench_scenes import View
 

@@ -15,7 +15,7 @@ from tagvo.errors import DetectorError
 from tagvo.geometry import Array, shortest_sides
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from tagvo.track import Tracker
 from vio.commands.bench_scenes import View
 from vio.stopwatch import clocks_ns, resident_mb

@@ -14,7 +14,7 @@ from vio.sources.foreign.records import Foreign
 if TYPE_CHECKING:
     from tagvo.camera.model import Camera
     from tagvo.records import Frame
-    from tagvo.tagmap import TagMap
+    from tagvo.tags.tag_map import TagMap
     from vio.records import ImuNoise
     from vio.sources.tally import Tally
 

@@ -66,7 +66,7 @@ def _fly(log: Path, quick: bool) -> None:
     """Write the flight log; Ctrl-C leaves the frames there are and ends the demo."""
     from tagvo import geometry as geo
     from tagvo.camera.calibration import load_camera
-    from tagvo.tagmap import load_map
+    from tagvo.tags.tag_map import load_map
     from vio.assets import config_path
     from vio.commands import demo_flight as demo
     from vio.sim.inertial import PIXHAWK

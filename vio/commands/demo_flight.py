@@ -11,7 +11,7 @@ from tagvo.camera.model import Camera
 from tagvo.geometry import Array, IntArray
 from tagvo.records import Frame
 from tagvo.render import Image, Look, displaced, render_view
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from vio.records import ImuNoise, ImuSample
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import typer
 from vio.commands import map_new, map_print, map_views
 
 if TYPE_CHECKING:
-    from tagvo.tagmap import TagMap
+    from tagvo.tags.tag_map import TagMap
 
 app = typer.Typer(
     name="map",
@@ -70,7 +70,7 @@ def check(path: MapFile) -> None:
     """
     from tagvo.errors import MapError
     from tagvo.mapcheck import check_map_data, summed_up
-    from tagvo.tagmap import map_from_dict
+    from tagvo.tags.tag_map import map_from_dict
     from tagvo.textfile import read_yaml
 
     data = read_yaml(path, MapError)

@@ -89,7 +89,7 @@ def command(
     import numpy as np
 
     from tagvo.mapdesign import lay_out, plan_map, search_tile
-    from tagvo.tagmap import map_to_yaml
+    from tagvo.tags.tag_map import map_to_yaml
     from tagvo.textfile import write_atomic
 
     wish = _wish(size, sizes, shares, family, quiet_zone, tiles, first_id)
@@ -127,8 +127,8 @@ def _wish(
     tiles: str | None,
     first_id: int,
 ) -> "MapWish":
-    from tagvo.families import family_named
     from tagvo.mapdesign import MapWish, usual_shares
+    from tagvo.tags.families import family_named
 
     wide, high = opt.numbers(size, "--size", "3,5", 2)
     borders = opt.numbers(sizes, "--sizes", "0.46,0.23,0.115,0.0575")

@@ -72,7 +72,7 @@ def command(
     import numpy as np
 
     from tagvo.mapprint import draw_print, plan_print
-    from tagvo.tagmap import load_map
+    from tagvo.tags.tag_map import load_map
 
     if out.suffix.lower() != ".pdf":
         raise typer.BadParameter(f"{out}: a name in .pdf is needed", param_hint="OUT")

@@ -11,7 +11,7 @@ from vio.commands.options import progress
 if TYPE_CHECKING:
     from tagvo.camera.model import Camera
     from tagvo.geometry import Array
-    from tagvo.tagmap import TagMap
+    from tagvo.tags.tag_map import TagMap
 
 
 def command(
@@ -30,7 +30,7 @@ def command(
     objective is the mean over the heights of the mean of log2(1 + tags) over the poorest fifth
     of the views of that height.
     """
-    from tagvo.tagmap import load_map
+    from tagvo.tags.tag_map import load_map
 
     lens, levels = opt.camera_of(camera), opt.heights_of(heights)
     for i, path in enumerate(paths):

@@ -87,7 +87,7 @@ def _write(out: Path, text: str, content: dict[str, Any]) -> None:
 def _warm() -> None:
     """Compile before processes start, or each would."""
     from tagvo.camera.calibration import load_camera
-    from tagvo.tagmap import load_map
+    from tagvo.tags.tag_map import load_map
     from vio.assets import config_path
     from vio.commands.warmup import warm_flight
     from vio.warmup import warm_renderer

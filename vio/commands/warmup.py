@@ -43,7 +43,7 @@ def warm_flight() -> None:
 def warm_pictures() -> None:
     """Compile what works on pictures: the tracker and the renderer."""
     from tagvo.camera.calibration import load_camera
-    from tagvo.tagmap import load_map
+    from tagvo.tags.tag_map import load_map
     from vio.assets import config_path
     from vio.warmup import warm_renderer, warm_tracker
 

@@ -13,7 +13,7 @@ from tagvo.camera.calibration import camera_to_yaml, load_camera
 from tagvo.camera.model import Camera
 from tagvo.errors import ConfigError
 from tagvo.geometry import Array
-from tagvo.tagmap import TagMap, load_map
+from tagvo.tags.tag_map import TagMap, load_map
 from tagvo.textfile import read_text
 from vio.config import Config
 from vio.errors import VioError

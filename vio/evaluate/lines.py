@@ -3,7 +3,7 @@
 import numpy as np
 
 from tagvo.geometry import Array, IntArray
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 
 MAX_POINTS = 3000  # a line; the rest is thinned so that a long flight still opens on a phone
 _BREAK_S = 1.0  # a longer pause is drawn as a gap

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tagvo.geometry import Array, IntArray
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from vio.evaluate.compare import Judged
 from vio.evaluate.diary import Diary
 from vio.evaluate.lines import band, in_time, path_in_time, tag_outlines, thin

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from vio.evaluate.compare import Judged
 from vio.evaluate.lines import in_time, path_in_time, tag_outlines
 from vio.evaluate.plots import GREY, TRUTH_COLOR, color

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tagvo.geometry import IntArray
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from tagvo.textfile import write_atomic
 from vio.evaluate import plots, sections
 from vio.evaluate.align import Z_AXIS

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tagvo.geometry import Array, IntArray
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from vio.evaluate.diary import Diary
 from vio.evaluate.sightings import Sightings
 from vio.evaluate.suspects import Judgement

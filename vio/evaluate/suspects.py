@@ -13,7 +13,7 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array, BoolArray, IntArray
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from vio.evaluate.sightings import Sightings
 
 _SYSTEMATIC_PX = 0.5  # what lens and rolling shutter leave, the same in frames near in time

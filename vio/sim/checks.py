@@ -4,7 +4,7 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array
-from tagvo.tagmap import TagMap, tag_corners
+from tagvo.tags.tag_map import TagMap, tag_corners
 from vio.errors import SimulationError
 from vio.sim.flights import Plan
 from vio.sim.motion import BodyFlight, BodyMotion, tilt

@@ -9,7 +9,7 @@ from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat, model_
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from vio.errors import SimulationError
 from vio.sim import course as crs
 from vio.sim.course import Course, Window

@@ -11,7 +11,7 @@ from tagvo.camera.model import Camera
 from tagvo.geometry import Array, IntArray
 from tagvo.scene import Scene, SceneConfig, make_scene
 from tagvo.shutter import PoseAt
-from tagvo.tagmap import TagMap, load_map
+from tagvo.tags.tag_map import TagMap, load_map
 from vio.records import ImuNoise, ImuTrack, Phase, Truth
 from vio.sim.camera import Exposures, exposures, said_camera
 from vio.sim.checks import check_flight

@@ -8,7 +8,7 @@ from tagvo.camera.model import Camera, project
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import Detections
 from tagvo.shutter import PoseAt
-from tagvo.tagmap import TagMap, tag_corners
+from tagvo.tags.tag_map import TagMap, tag_corners
 from vio.sim.model import Model
 
 _FACE_M = 1e-3  # the camera must be this far before a tag's face

@@ -12,7 +12,7 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera, project
 from tagvo.geometry import Array, BoolArray
 from tagvo.records import Observations
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 
 MAP, BODY, CAMERA = "map", "imu", "camera"
 _WIDTH = 640

@@ -20,7 +20,7 @@ from tagvo.config import JointConfig
 from tagvo.geometry import Array, BoolArray
 from tagvo.pipeline import Trace
 from tagvo.records import Frame, Observations
-from tagvo.tagmap import TagMap
+from tagvo.tags.tag_map import TagMap
 from vio.arms import Output
 from vio.daemon_settings import ORIGINS
 from vio.errors import VioError

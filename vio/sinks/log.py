@@ -14,7 +14,7 @@ from tagvo.camera.calibration import save_camera
 from tagvo.camera.model import Camera
 from tagvo.geometry import Array
 from tagvo.records import Detections, Frame
-from tagvo.tagmap import TagMap, save_map
+from tagvo.tags.tag_map import TagMap, save_map
 from tagvo.textfile import write_atomic
 from vio.errors import LogError
 from vio.records import Ground, ImuNoise, ImuSample, Phase

@@ -11,7 +11,7 @@ from tagvo.camera.calibration import load_camera
 from tagvo.camera.model import Camera
 from tagvo.geometry import IntArray
 from tagvo.records import Frame
-from tagvo.tagmap import TagMap, load_map
+from tagvo.tags.tag_map import TagMap, load_map
 from vio.errors import LogError
 from vio.records import Ground, ImuNoise, ImuSample, ImuTrack, Phase, Truth
 from vio.sources.frames import FrameSource, open_frames

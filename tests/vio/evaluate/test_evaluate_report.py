@@ -8,7 +8,7 @@ import pytest
 from evaluate_flights import empty, estimate, make_truth, stamps
 from numpy.testing import assert_allclose
 
-from tagvo.tagmap import map_from_dict
+from tagvo.tags.tag_map import map_from_dict
 from vio.evaluate import lines
 from vio.evaluate.compare import comparison
 from vio.evaluate.report import Extra, share_outside, write_report

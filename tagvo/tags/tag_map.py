@@ -10,8 +10,8 @@ import yaml
 
 from tagvo import geometry as geo
 from tagvo.errors import MapError, choose_one_of, shown
-from tagvo.families import Family, family_named
 from tagvo.geometry import Array, IntArray
+from tagvo.tags.families import Family, family_named
 from tagvo.textfile import finite_numbers, is_number, read_yaml, write_atomic
 
 SIZE_KINDS = ("border", "total")

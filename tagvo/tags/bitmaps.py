@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagvo.errors import DetectorError
-from tagvo.families import Family
+from tagvo.tags.families import Family
 
 Cells: TypeAlias = NDArray[np.uint8]
 

@@ -1,0 +1,1 @@
+"""Tags themselves: families, their bit patterns, and where each one lies."""
