@@ -12,9 +12,9 @@ from tagvo.decide import Candidates, best_joint, measure_fused, measure_joint
 from tagvo.detect import Detector, make_detector
 from tagvo.detect.apriltag import AprilTagDetector
 from tagvo.detect.blur import corner_sigma, edge_spread
-from tagvo.detect.edges import Gray, cell_width
-from tagvo.detect.filters import filter_detections
+from tagvo.detect.edge_profile import Gray, cell_width
 from tagvo.detect.protocol import gray_image
+from tagvo.detect.rejection import filter_detections
 from tagvo.errors import TagvoError
 from tagvo.fusion import WEIGHT, fuse
 from tagvo.geometry import Array, BoolArray, IntArray

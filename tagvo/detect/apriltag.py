@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from tagvo.detect.edges import Gray
+from tagvo.detect.edge_profile import Gray
 from tagvo.detect.protocol import gray_image, no_detections
 from tagvo.errors import DetectorError
 from tagvo.geometry import Array

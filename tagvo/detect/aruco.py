@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from tagvo.detect.decode import Codes, codes, read_bits, upright
-from tagvo.detect.edges import Gray, refit_corners, signed_area
+from tagvo.detect.codes import Codes, codes, read_bits, upright
+from tagvo.detect.edge_profile import Gray, refit_corners, signed_area
 from tagvo.detect.protocol import gray_image, no_detections
 from tagvo.errors import DetectorError
 from tagvo.geometry import Array, BoolArray

@@ -7,7 +7,7 @@ direction, defocus to 2 px, noise of 1 to 8 grey values) with the AprilTag libra
 
 import numpy as np
 
-from tagvo.detect.edges import Gray, cell_width, edge_profiles, rising
+from tagvo.detect.edge_profile import Gray, cell_width, edge_profiles, rising
 from tagvo.geometry import Array
 
 _SCANS = 6

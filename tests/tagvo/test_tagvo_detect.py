@@ -11,7 +11,7 @@ from tagvo.camera.model import Camera, project
 from tagvo.detect import make_detector
 from tagvo.detect.apriltag import AprilTagDetector, decimate_for
 from tagvo.detect.aruco import ArucoDetector
-from tagvo.detect.decode import codes, read_bits, upright
+from tagvo.detect.codes import codes, read_bits, upright
 from tagvo.errors import DetectorError
 from tagvo.render import render_view
 from tagvo.tags.bitmaps import tag_bitmap

@@ -9,8 +9,8 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera, project
 from tagvo.detect.apriltag import AprilTagDetector
 from tagvo.detect.blur import corner_sigma, edge_spread, measured_sigma
-from tagvo.detect.edges import cell_width, refit_corners, sample, signed_area
-from tagvo.detect.filters import away_from_edge
+from tagvo.detect.edge_profile import cell_width, refit_corners, sample, signed_area
+from tagvo.detect.rejection import away_from_edge
 from tagvo.render import exposure_poses, render_view
 from tagvo.tags.tag_map import map_from_dict
 

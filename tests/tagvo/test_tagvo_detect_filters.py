@@ -8,8 +8,8 @@ from numpy.testing import assert_array_equal
 from pydantic import ValidationError
 
 from tagvo.config import FilterConfig
-from tagvo.detect import filters
-from tagvo.detect.filters import filter_detections
+from tagvo.detect import rejection
+from tagvo.detect.rejection import filter_detections
 from tagvo.records import Detections
 from tagvo.tags.tag_map import map_from_dict
 
@@ -85,11 +85,11 @@ def test_unknown_margins_pass():
 
 def test_the_edge_is_half_a_pixel_outside_the_outermost_centres():
     quad = SQUARE[None] - 0.5  # two corners on the rim itself
-    assert filters.away_from_edge(quad, SIZE, 0.0)[0]
-    assert not filters.away_from_edge(quad - np.array([0.01, 0.0]), SIZE, 0.0)[0]
+    assert rejection.away_from_edge(quad, SIZE, 0.0)[0]
+    assert not rejection.away_from_edge(quad - np.array([0.01, 0.0]), SIZE, 0.0)[0]
     right = SQUARE[None] + [639.5 - 20.0, 100.0]
-    assert filters.away_from_edge(right, SIZE, 0.0)[0]
-    assert not filters.away_from_edge(right + np.array([0.01, 0.0]), SIZE, 0.0)[0]
+    assert rejection.away_from_edge(right, SIZE, 0.0)[0]
+    assert not rejection.away_from_edge(right + np.array([0.01, 0.0]), SIZE, 0.0)[0]
     assert len(run(detections(SQUARE[None] - 10), FilterConfig(edge_px=-100.0))[0]) == 1
 
 
@@ -101,9 +101,9 @@ def test_agreeing_duplicates_keep_the_best():
         hamming=np.array([1, 0, 0, 0]),
         margin=np.array([90.0, 20.0, 50.0, 10.0]),
     )
-    assert_array_equal(filters.unambiguous(det, 2.0), [False, False, True, True])
+    assert_array_equal(rejection.unambiguous(det, 2.0), [False, False, True, True])
     unknown = detections(quads[:2], ids=[3, 3], margin=np.array([np.nan, 1.0]))
-    assert_array_equal(filters.unambiguous(unknown, 2.0), [False, True])
+    assert_array_equal(rejection.unambiguous(unknown, 2.0), [False, True])
 
 
 def test_duplicates_that_disagree_are_all_dropped():

@@ -9,7 +9,7 @@ import pytest
 
 from tagvo.config import FilterConfig
 from tagvo.detect import make_detector
-from tagvo.detect.filters import filter_detections
+from tagvo.detect.rejection import filter_detections
 from tagvo.tags.tag_map import load_map
 
 DATA = os.environ.get("TAGVIO_DATA")

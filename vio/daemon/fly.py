@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tagvo.detect.filters import filter_detections
+from tagvo.detect.rejection import filter_detections
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
 from vio.config import Config

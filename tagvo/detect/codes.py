@@ -5,7 +5,7 @@ from math import comb
 
 import numpy as np
 
-from tagvo.detect.edges import Gray, Single, sample
+from tagvo.detect.edge_profile import Gray, Single, sample
 from tagvo.geometry import Array, BoolArray, IntArray
 
 _MIN_CONTRAST = 12.0  # grey values between black and white cells; below, noise writes the bits
