@@ -5,10 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tagvo.ambiguity import AMBIGUITY, camera_candidates, chi2_gap
 from tagvo.camera.model import Camera
 from tagvo.config import TagvoConfig
-from tagvo.decide import Candidates, best_joint, measure_fused, measure_joint
 from tagvo.detect import Detector, make_detector
 from tagvo.detect.apriltag import AprilTagDetector
 from tagvo.detect.blur import corner_sigma, edge_spread
@@ -16,13 +14,17 @@ from tagvo.detect.edge_profile import Gray, cell_width
 from tagvo.detect.protocol import gray_image
 from tagvo.detect.rejection import filter_detections
 from tagvo.errors import TagvoError
-from tagvo.fusion import WEIGHT, fuse
 from tagvo.geometry import Array, BoolArray, IntArray
-from tagvo.joint import JointPose
 from tagvo.kernels.tag_residual import TagBatch, mean_covariance
-from tagvo.lone_tag import with_hidden_shift
-from tagvo.observe import body_poses, observe, quad_area, tag_batch
-from tagvo.outliers import REJECT
+from tagvo.pose.ambiguity import AMBIGUITY, camera_candidates, chi2_gap
+from tagvo.pose.fusion import WEIGHT, fuse
+from tagvo.pose.ippe import solve_tags
+from tagvo.pose.joint import JointPose
+from tagvo.pose.lone_tag import with_hidden_shift
+from tagvo.pose.measurement import Candidates, best_joint, measure_fused, measure_joint
+from tagvo.pose.observations import body_poses, observe, quad_area, tag_batch
+from tagvo.pose.outliers import REJECT
+from tagvo.pose.selection import SELECT
 from tagvo.records import (
     BodyPoses,
     Detections,
@@ -32,8 +34,6 @@ from tagvo.records import (
     PosePrior,
     TagPoses,
 )
-from tagvo.selection import SELECT
-from tagvo.tagpose import solve_tags
 from tagvo.tags.tag_map import TagMap
 from tagvo.track.gate import exact
 from tagvo.track.tracker import Tracker

@@ -8,8 +8,8 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera
 from tagvo.geometry import Array
+from tagvo.pose.smoothing import Fir
 from tagvo.records import Frame, Observations, PoseMeasurement
-from tagvo.smoothing import Fir
 from vio.records import ImuSample
 
 

@@ -8,9 +8,9 @@ from simulated import DOWN, arena, grid_map, pinhole, pose_above, shot
 from strategies import seeds
 
 from tagvo import geometry as geo
-from tagvo.ambiguity import AMBIGUITY, camera_candidates, chi2_gap, prior_cost
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
+from tagvo.pose.ambiguity import AMBIGUITY, camera_candidates, chi2_gap, prior_cost
 from tagvo.records import PosePrior
 
 CAMERA = pinhole()

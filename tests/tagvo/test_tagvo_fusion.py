@@ -9,7 +9,7 @@ from oracles.vision import chordal_mean as searched
 from strategies import rotvecs, seeds
 
 from tagvo import geometry as geo
-from tagvo.fusion import MEAN, WEIGHT, fuse
+from tagvo.pose.fusion import MEAN, WEIGHT, fuse
 
 means = st.sampled_from(sorted(MEAN))
 

@@ -19,8 +19,8 @@ from tagvo.kernels.tag_residual import (
     systematic_rows,
     tag_rows,
 )
-from tagvo.observe import observe, tag_batch
 from tagvo.pipeline import TagVO
+from tagvo.pose.observations import observe, tag_batch
 from tagvo.records import Detections
 
 CAMERA = pinhole()

@@ -11,9 +11,9 @@ from strategies import seeds
 
 from tagvo import geometry as geo
 from tagvo.config import FloorConfig, JointConfig, TagvoConfig
-from tagvo.joint import _misfit, solve_joint
-from tagvo.observe import observe, tag_batch
 from tagvo.pipeline import TagVO
+from tagvo.pose.joint import _misfit, solve_joint
+from tagvo.pose.observations import observe, tag_batch
 from tagvo.records import Detections, Frame
 from tagvo.render import displaced
 

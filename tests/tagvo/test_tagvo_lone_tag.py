@@ -6,9 +6,9 @@ from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera
-from tagvo.lone_tag import corner_rows, with_hidden_shift
-from tagvo.observe import observe, tag_batch
 from tagvo.pipeline import TagVO
+from tagvo.pose.lone_tag import corner_rows, with_hidden_shift
+from tagvo.pose.observations import observe, tag_batch
 from tagvo.records import Detections, Frame
 from tagvo.tags.tag_map import map_from_dict
 

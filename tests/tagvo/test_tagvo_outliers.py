@@ -8,7 +8,7 @@ from numpy.testing import assert_array_equal
 from strategies import seeds
 
 from tagvo.config import IqrConfig
-from tagvo.outliers import REJECT, iqr_inliers
+from tagvo.pose.outliers import REJECT, iqr_inliers
 
 QUARTILES = ("hazen", "linear", "weibull")
 

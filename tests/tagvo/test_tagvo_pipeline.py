@@ -11,11 +11,11 @@ from strategies import seeds
 from tagvo import geometry as geo
 from tagvo.config import TagvoConfig
 from tagvo.errors import TagvoError
-from tagvo.fusion import MEAN, WEIGHT
-from tagvo.outliers import REJECT
 from tagvo.pipeline import TagVO
+from tagvo.pose.fusion import MEAN, WEIGHT
+from tagvo.pose.outliers import REJECT
+from tagvo.pose.selection import SELECT
 from tagvo.records import Detections, Frame
-from tagvo.selection import SELECT
 
 CAMERA = pinhole(R_CI=DOWN, p_CI=np.array([0.02, -0.10, 0.05]))
 MAP = arena()

@@ -5,8 +5,8 @@ from hypothesis import given
 from numpy.testing import assert_array_equal
 from strategies import seeds
 
+from tagvo.pose.selection import SELECT
 from tagvo.records import BodyPoses
-from tagvo.selection import SELECT
 
 
 def bodies(size, area=None, tag_id=None):

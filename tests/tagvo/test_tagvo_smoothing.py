@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from strategies import rotvecs, seeds
 
 from tagvo import geometry as geo
-from tagvo.smoothing import TAPS, Fir
+from tagvo.pose.smoothing import TAPS, Fir
 
 STEP = 50_000_000  # 20 Hz
 V, W = np.array([0.5, -0.2, 0.1]), np.array([0.0, 0.0, 0.3])

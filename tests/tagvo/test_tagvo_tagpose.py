@@ -14,8 +14,8 @@ from strategies import seeds, tilts
 from tagvo import geometry as geo
 from tagvo.camera.model import project, unproject
 from tagvo.kernels import projection
+from tagvo.pose.ippe import homography_at_centre, solve_tags
 from tagvo.records import Observations
-from tagvo.tagpose import homography_at_centre, solve_tags
 from tagvo.tags.tag_map import tag_corners
 
 CAMERA = pinhole()

@@ -13,8 +13,8 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array
-from tagvo.joint import JointPose
 from tagvo.kernels.tag_residual import TagBatch
+from tagvo.pose.joint import JointPose
 
 _UNLIKELY = 9.2  # chi-square, 2 dof, 99 %: a misfit below it is noise
 _SHIFT_PX = 30.0  # sigma of an outlying corner: no decoder takes a tag that is bent further

@@ -6,11 +6,11 @@ from statistics import median
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.ambiguity import DECISIVE, prior_cost
 from tagvo.config import JointConfig
 from tagvo.geometry import Array, IntArray
-from tagvo.joint import JointPose, solve_joint
 from tagvo.kernels.tag_residual import TagBatch
+from tagvo.pose.ambiguity import DECISIVE, prior_cost
+from tagvo.pose.joint import JointPose, solve_joint
 from tagvo.records import PoseMeasurement, PosePrior
 
 _ALTERNATIVE_TAGS = 3  # so few tags may all flip together: both branches are tried

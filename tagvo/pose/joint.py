@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagvo.config import JointConfig
-from tagvo.descent import Work, evaluate, minimise, step
 from tagvo.geometry import Array
 from tagvo.kernels.jit import add_square, bare, cholesky, forward, inverse_spd, multiply, njit
 from tagvo.kernels.tag_residual import SYSTEMATIC, TagBatch, systematic_rows, tag_rows
+from tagvo.pose.levenberg_marquardt import Work, evaluate, minimise, step
 
 _DECISIVE = 9.0  # in minus twice the log-likelihood
 _FEWEST_FOR_SHARE = 5
