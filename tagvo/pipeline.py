@@ -35,7 +35,7 @@ from tagvo.records import (
     TagPoses,
 )
 from tagvo.tags.tag_map import TagMap
-from tagvo.track.gate import exact
+from tagvo.track.policy import exact
 from tagvo.track.tracker import Tracker
 
 

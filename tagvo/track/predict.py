@@ -10,7 +10,7 @@ import numpy as np
 from tagvo.camera.model import Point, distort_point
 from tagvo.geometry import Array, IntArray
 from tagvo.kernels.jit import bare, inverse_spd, leaf, njit, rotated
-from tagvo.track.cells import FLAT, Lens, MapArrays
+from tagvo.track.tag_model import FLAT, Lens, MapArrays
 
 _NEAR = 0.02  # [m] along z of C
 _MIN_COSINE = 0.15  # a tag seen flatter than 81 deg is not worth a look

@@ -11,9 +11,7 @@ from tagvo.config import TrackConfig
 from tagvo.geometry import shortest_sides
 from tagvo.records import Detections, PosePrior
 from tagvo.tags.tag_map import TagMap
-from tagvo.track.cells import Gray, lens_of, map_arrays
-from tagvo.track.fit import FATES
-from tagvo.track.gate import (
+from tagvo.track.policy import (
     GateState,
     Strip,
     admitted,
@@ -23,8 +21,10 @@ from tagvo.track.gate import (
     strip_due,
     tracking_failed,
 )
-from tagvo.track.kernel import track_image
 from tagvo.track.predict import sides_in_view
+from tagvo.track.tag_fit import FATES
+from tagvo.track.tag_model import Gray, lens_of, map_arrays
+from tagvo.track.track_image import track_image
 
 _OVERLAP_PX = 40  # of neighbouring strips, for tags that lie across their border
 _AGREE_PX = 2.0  # a tracked tag and the same tag found by the detector

@@ -18,12 +18,12 @@ from tagvo.records import Detections, Frame, PosePrior
 from tagvo.tags.bitmaps import tag_bitmap
 from tagvo.tags.families import FAMILIES
 from tagvo.track import Tracker
-from tagvo.track.cells import FLAT, Lens, lens_of, map_arrays, printed_cells
-from tagvo.track.gate import (
+from tagvo.track.pattern import is_there
+from tagvo.track.policy import (
     admitted,
 )
 from tagvo.track.predict import corner_spread, laying_px, posterior, project_tag
-from tagvo.track.verify import is_there
+from tagvo.track.tag_model import FLAT, Lens, lens_of, map_arrays, printed_cells
 
 
 def projected(R_WC, p_WC, i):

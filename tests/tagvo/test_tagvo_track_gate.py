@@ -9,7 +9,7 @@ from tagvo.detect.protocol import no_detections
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
 from tagvo.track import Tracker
-from tagvo.track.gate import (
+from tagvo.track.policy import (
     GateState,
     decimate_needed,
     looks_mosaic,

@@ -11,8 +11,8 @@ import numpy as np
 
 from tagvo.geometry import Array, BoolArray
 from tagvo.kernels.jit import bare, leaf
-from tagvo.track.cells import Gray, Lens
 from tagvo.track.predict import to_pixel
+from tagvo.track.tag_model import Gray, Lens
 
 MARGIN = 0.12  # share of a side left out at either end: there the neighbouring side blurs in
 MAX_SCANS, MAX_STEPS, WORK = 24, 96, 8

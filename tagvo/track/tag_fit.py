@@ -10,10 +10,10 @@ import numpy as np
 
 from tagvo.geometry import Array, BoolArray
 from tagvo.kernels.jit import bare, leaf, njit
-from tagvo.track.cells import FLAT, Gray, Lens, MapArrays
-from tagvo.track.edges import MAX_SCANS, MAX_STEPS, WORK, cross_sides, fit_side, line_variance
+from tagvo.track.pattern import find_pattern, is_there
 from tagvo.track.predict import extent, to_pixel
-from tagvo.track.verify import find_pattern, is_there
+from tagvo.track.side_fit import MAX_SCANS, MAX_STEPS, WORK, cross_sides, fit_side, line_variance
+from tagvo.track.tag_model import FLAT, Gray, Lens, MapArrays
 
 # what became of a tag that was tried
 TRACKED, NO_PATTERN, NO_EDGE, MOVED, NOT_IT, OUTLIER = 0, 1, 2, 3, 4, 5

@@ -12,7 +12,7 @@ from tagvo.config import TrackConfig
 from tagvo.geometry import Array, BoolArray, shortest_sides
 from tagvo.kernels.jit import bare, cholesky
 from tagvo.records import PosePrior
-from tagvo.track.cells import Gray
+from tagvo.track.tag_model import Gray
 
 _SAME_MOMENT_NS = 1_000_000  # a prior is for this frame when its stamp is this near
 _MAX_ROTATION_RAD = float(np.radians(6.0))  # beyond, the covariance is no ellipse in the image

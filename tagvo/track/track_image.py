@@ -9,8 +9,6 @@ import numpy as np
 
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.kernels.jit import bare, njit
-from tagvo.track.cells import Gray, Lens, MapArrays
-from tagvo.track.fit import OUTLIER, TRACKED, Scratch, scratch, track_tag
 from tagvo.track.predict import (
     corner_spread,
     extent,
@@ -21,6 +19,8 @@ from tagvo.track.predict import (
     posterior,
     project_tag,
 )  # fmt: skip
+from tagvo.track.tag_fit import OUTLIER, TRACKED, Scratch, scratch, track_tag
+from tagvo.track.tag_model import Gray, Lens, MapArrays
 
 _EDGE_PX = 4.0  # least distance of a predicted corner from the rim
 _ANCHORS = 3

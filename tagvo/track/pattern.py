@@ -10,9 +10,9 @@ import numpy as np
 from tagvo.camera.model import Point
 from tagvo.geometry import Array
 from tagvo.kernels.jit import bare, cholesky, leaf
-from tagvo.track.cells import Cells, Gray, Lens
-from tagvo.track.edges import grey
 from tagvo.track.predict import to_pixel
+from tagvo.track.side_fit import grey
+from tagvo.track.tag_model import Cells, Gray, Lens
 
 _MIN_SEEN = 0.6  # share of the promised cells that must lie in the image
 _CLEAR = 0.15  # share of the contrast by which a cell must be on its side of the threshold
