@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from tagvo.records import Frame as Frame
     from tagvo.records import PoseMeasurement as PoseMeasurement
     from tagvo.records import PosePrior as PosePrior
-    from tagvo.render import render_view as render_view
+    from tagvo.render.view import render_view as render_view
     from tagvo.tags.tag_map import TagMap as TagMap
     from tagvo.tags.tag_map import load_map as load_map
     from tagvo.tags.tag_map import save_map as save_map

@@ -5,8 +5,8 @@ from simulated import DOWN
 
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera, project
-from tagvo.imaging import render_frame
-from tagvo.scene import LensConfig, SceneConfig, make_scene
+from tagvo.render.frame import render_frame
+from tagvo.render.scene import LensConfig, SceneConfig, make_scene
 from tagvo.tags.tag_map import map_from_dict
 
 LENSES = {

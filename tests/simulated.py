@@ -12,7 +12,7 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera, project
 from tagvo.config import FloorConfig
 from tagvo.records import Detections, Frame
-from tagvo.render import displaced
+from tagvo.render.view import displaced
 from tagvo.tags.tag_map import TagMap, load_map, map_from_dict, tag_corners
 
 DOWN = np.diag([1.0, -1.0, -1.0])  # R_WC of a camera that looks straight down

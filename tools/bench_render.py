@@ -30,8 +30,8 @@ from simulated import DOWN, arena
 
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera
-from tagvo.render import render_frame, render_view
-from tagvo.scene import LensConfig, Scene, SceneConfig, make_scene
+from tagvo.render.scene import LensConfig, Scene, SceneConfig, make_scene
+from tagvo.render.view import render_frame, render_view
 
 COEFFS = np.array([-0.18, 0.05, 1e-3, -5e-4])
 CAMERA = Camera("radtan", np.array([530.0, 530.0, 319.5, 239.5]), COEFFS, (640, 480))

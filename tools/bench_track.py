@@ -34,7 +34,7 @@ from tagvo.config import TagvoConfig
 from tagvo.detect.apriltag import AprilTagDetector
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
-from tagvo.render import Look, displaced, render_view
+from tagvo.render.view import Look, displaced, render_view
 from vio.estimator import Estimator
 from vio.filter_arm import VioArm
 from vio.settings import VioConfig

@@ -25,7 +25,7 @@ from tagvo.camera.model import Camera
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
-from tagvo.render import displaced
+from tagvo.render.view import displaced
 from tagvo.tags.tag_map import TagMap, tag_corners
 
 STAGES = ("detect", "tagpose", "select", "fuse", "joint")

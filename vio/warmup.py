@@ -75,9 +75,11 @@ def warm_tracker(tag_map: TagMap, camera: Camera, config: TrackConfig | None = N
 
 def warm_renderer(tag_map: TagMap, camera: Camera) -> None:
     """Draw a picture with a floor of wood, torn tags, objects and motion: `simulate`'s code."""
-    from tagvo.imaging import render_frame  # here: a daemon that restarts in flight draws nothing
-    from tagvo.scene import make_scene
-    from tagvo.sceneconfig import LensConfig, OccluderConfig, SceneConfig, TextureConfig
+    from tagvo.render.config import LensConfig, OccluderConfig, SceneConfig, TextureConfig
+    from tagvo.render.frame import (
+        render_frame,  # here: a daemon that restarts in flight draws nothing
+    )
+    from tagvo.render.scene import make_scene
 
     objects = OccluderConfig(count=3, size_m=0.2)
     config = SceneConfig(texture=TextureConfig(kind="wood"), torn_share=0.5, occluders=objects)

@@ -15,7 +15,7 @@ from tagvo.camera.model import Camera, project
 from tagvo.config import TrackConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.records import PosePrior
-from tagvo.render import Look, exposure_poses, render_view
+from tagvo.render.view import Look, exposure_poses, render_view
 from tagvo.tags.tag_map import TagMap
 from tagvo.track import Tracker
 

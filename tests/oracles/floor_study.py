@@ -16,7 +16,7 @@ from tagvo.config import TagvoConfig
 from tagvo.geometry import Array
 from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Detections, Frame
-from tagvo.render import Look, displaced, render_view
+from tagvo.render.view import Look, displaced, render_view
 from tagvo.tags.tag_map import TagMap
 
 SELECTIONS = {  # the paper's name: THS, OR

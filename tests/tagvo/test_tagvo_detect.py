@@ -13,7 +13,7 @@ from tagvo.detect.apriltag import AprilTagDetector, decimate_for
 from tagvo.detect.aruco import ArucoDetector
 from tagvo.detect.codes import codes, read_bits, upright
 from tagvo.errors import DetectorError
-from tagvo.render import render_view
+from tagvo.render.view import render_view
 from tagvo.tags.bitmaps import tag_bitmap
 from tagvo.tags.families import FAMILIES
 from tagvo.tags.tag_map import TagMap, map_from_dict

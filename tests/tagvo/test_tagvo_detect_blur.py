@@ -11,7 +11,7 @@ from tagvo.detect.apriltag import AprilTagDetector
 from tagvo.detect.blur import corner_sigma, edge_spread, measured_sigma
 from tagvo.detect.edge_profile import cell_width, refit_corners, sample, signed_area
 from tagvo.detect.rejection import away_from_edge
-from tagvo.render import exposure_poses, render_view
+from tagvo.render.view import exposure_poses, render_view
 from tagvo.tags.tag_map import map_from_dict
 
 F_PX = 600.0

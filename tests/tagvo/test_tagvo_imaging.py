@@ -23,8 +23,8 @@ from simulated import DOWN
 
 from tagvo import geometry as geo
 from tagvo.detect import make_detector
-from tagvo.render import Look, render_view
-from tagvo.scene import LensConfig
+from tagvo.render.scene import LensConfig
+from tagvo.render.view import Look, render_view
 from tagvo.tags.tag_map import map_from_dict
 
 HEIGHT = np.array([0.02, -0.03, 0.45])

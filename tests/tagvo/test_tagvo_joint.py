@@ -15,7 +15,7 @@ from tagvo.pipeline import TagVO
 from tagvo.pose.joint import _misfit, solve_joint
 from tagvo.pose.observations import observe, tag_batch
 from tagvo.records import Detections, Frame
-from tagvo.render import displaced
+from tagvo.render.view import displaced
 
 CAMERA = pinhole()
 NO_FLOOR = FloorConfig(focal_rel=0.0, principal_px=0.0)

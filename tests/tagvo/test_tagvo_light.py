@@ -6,9 +6,9 @@ from scenes import camera_of, floor_of, picture, pixels_of, scene_of, still
 from simulated import DOWN
 
 from tagvo import geometry as geo
-from tagvo.light import even_light, flicker, glare_grey, lamps_over, shaded_share
-from tagvo.scene import LensConfig
-from tagvo.sceneconfig import GlareConfig, LightConfig, ShadowConfig
+from tagvo.render.config import GlareConfig, LightConfig, ShadowConfig
+from tagvo.render.lighting import even_light, flicker, glare_grey, lamps_over, shaded_share
+from tagvo.render.scene import LensConfig
 
 CAMERA = camera_of("none", 640, 480)
 BARE = {"hidden_share": 1.0}  # a plain floor of grey 128

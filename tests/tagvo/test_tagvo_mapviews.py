@@ -21,7 +21,7 @@ from tagvo.mapviews import (
     score,
     worth_in_tags,
 )
-from tagvo.render import render_view
+from tagvo.render.view import render_view
 from tagvo.tags.tag_map import map_from_dict
 
 HEIGHTS = np.array([0.3, 0.55, 1.2, 2.5])

@@ -8,7 +8,7 @@ from oracles.raycast import cast_slowly
 
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera, project
-from tagvo.render import Look, displaced, exposure_poses, render_view
+from tagvo.render.view import Look, displaced, exposure_poses, render_view
 from tagvo.tags.tag_map import map_from_dict
 
 DOWN = np.diag([1.0, -1.0, -1.0])

@@ -11,8 +11,8 @@ from tagvo import geometry as geo
 from tagvo.config import validated
 from tagvo.detect import make_detector
 from tagvo.errors import ConfigError
-from tagvo.scene import LensConfig, SceneConfig, displaced
-from tagvo.trace import BLOB, TORN
+from tagvo.render.cells_hit import BLOB, TORN
+from tagvo.render.scene import LensConfig, SceneConfig, displaced
 
 ABOVE = np.array([0.0, 0.0, 0.85])  # 6 x 6 tags fill the picture
 FAST = LensConfig(supersample=4)

@@ -9,8 +9,8 @@ from scenes import camera_of, floor_of, picture, scene_of, still, tilted
 from scipy.stats import chi2, poisson
 from simulated import DOWN
 
-from tagvo.scene import LensConfig
-from tagvo.sensor import defocused, develop, disc, exposed, falloff, pad_of
+from tagvo.render.scene import LensConfig
+from tagvo.render.sensor import defocused, develop, disc, exposed, falloff, pad_of
 
 CAMERA = camera_of("none")
 

@@ -6,7 +6,7 @@ from scenes import camera_of, gliding, moving, pixels_of, still, tilted
 from simulated import DOWN
 
 from tagvo import geometry as geo
-from tagvo.shutter import Seen, lattice, motion, pattern, row_times, thinned, wander_px, way
+from tagvo.render.shutter import Seen, lattice, motion, pattern, row_times, thinned, wander_px, way
 
 CAMERA = camera_of("radtan", 640, 480)
 ABOVE = np.array([0.0, 0.0, 0.8])

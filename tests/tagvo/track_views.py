@@ -7,7 +7,7 @@ from simulated import arena, pose_above
 from tagvo import geometry as geo
 from tagvo.config import TagvoConfig
 from tagvo.records import PosePrior
-from tagvo.render import Look, render_view
+from tagvo.render.view import Look, render_view
 
 CAMERA, MAP = lens(), arena()
 LOW, HIGH = MAP.p_WT[:, :2].min(axis=0) + 0.4, MAP.p_WT[:, :2].max(axis=0) - 0.4

@@ -17,7 +17,7 @@ import yaml
 
 from tagvo import geometry as geo
 from tagvo.camera.calibration import load_camera
-from tagvo.render import render_view
+from tagvo.render.view import render_view
 from tagvo.tags.tag_map import load_map
 
 CONFIGS = Path(__file__).parents[2] / "configs"

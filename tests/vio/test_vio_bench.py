@@ -6,7 +6,7 @@ from simulated import corners_seen, grid_map, pinhole, pose_above
 
 from tagvo.detect.peers import PlainAruco, PyAprilTags
 from tagvo.records import Detections, PosePrior
-from tagvo.render import render_view
+from tagvo.render.view import render_view
 from vio.commands.bench_measure import REFERENCE, Score, _compare, figures, measure
 from vio.commands.bench_scenes import View, in_view
 

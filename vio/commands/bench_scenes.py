@@ -11,7 +11,7 @@ from tagvo.camera.calibration import load_camera
 from tagvo.camera.model import Camera, project
 from tagvo.geometry import Array, IntArray
 from tagvo.records import PosePrior
-from tagvo.render import Image, Look, exposure_poses, render_view
+from tagvo.render.view import Image, Look, exposure_poses, render_view
 from tagvo.tags.tag_map import TagMap, load_map, tag_corners
 from vio.assets import config_path
 from vio.commands.demo_flight import demo_camera, demo_flight

@@ -10,7 +10,7 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera
 from tagvo.geometry import Array, IntArray
 from tagvo.records import Frame
-from tagvo.render import Image, Look, displaced, render_view
+from tagvo.render.view import Image, Look, displaced, render_view
 from tagvo.tags.tag_map import TagMap
 from vio.records import ImuNoise, ImuSample
 

@@ -8,7 +8,7 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera
 from tagvo.geometry import Array, BoolArray, IntArray
-from tagvo.shutter import PoseAt
+from tagvo.render.shutter import PoseAt
 from vio.errors import LogError, SimulationError
 from vio.records import Truth
 from vio.sim.camera import Exposures, exposures

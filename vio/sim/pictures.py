@@ -50,7 +50,7 @@ def _corners(recording: Recording, scenario: Scenario, k: int) -> Frame:
 
 
 def _image(recording: Recording, scenario: Scenario, k: int) -> Frame:
-    from tagvo.render import render_frame
+    from tagvo.render.view import render_frame
 
     image = render_frame(
         recording.scene, recording.true_camera, recording.pose_at,

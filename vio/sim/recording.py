@@ -9,8 +9,8 @@ from tagvo import geometry as geo
 from tagvo.camera.calibration import load_camera
 from tagvo.camera.model import Camera
 from tagvo.geometry import Array, IntArray
-from tagvo.scene import Scene, SceneConfig, make_scene
-from tagvo.shutter import PoseAt
+from tagvo.render.scene import Scene, SceneConfig, make_scene
+from tagvo.render.shutter import PoseAt
 from tagvo.tags.tag_map import TagMap, load_map
 from vio.records import ImuNoise, ImuTrack, Phase, Truth
 from vio.sim.camera import Exposures, exposures, said_camera

@@ -9,7 +9,7 @@ from pydantic import Field, PositiveFloat
 
 from tagvo.config import validated
 from tagvo.errors import ConfigError
-from tagvo.scene import LensConfig, SceneConfig
+from tagvo.render.scene import LensConfig, SceneConfig
 from tagvo.textfile import read_yaml
 from vio.assets import config_names, config_path
 from vio.errors import VioError

@@ -7,7 +7,7 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera, project
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import Detections
-from tagvo.shutter import PoseAt
+from tagvo.render.shutter import PoseAt
 from tagvo.tags.tag_map import TagMap, tag_corners
 from vio.sim.model import Model
 

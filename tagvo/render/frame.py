@@ -10,19 +10,19 @@ from typing import NamedTuple, TypeAlias
 import cv2
 import numpy as np
 
-from tagvo import shutter
 from tagvo.camera.model import Camera, unproject
 from tagvo.geometry import Array, BoolArray, IntArray
-from tagvo.light import even_light, flicker, glare_grey, shaded_share
-from tagvo.outlines import boxes_in_view, cells_from_rays
-from tagvo.paint import paint
-from tagvo.patches import Patches
-from tagvo.scene import Scene
-from tagvo.sceneconfig import LensConfig
-from tagvo.sensor import Image, defocused, develop, pad_of
-from tagvo.shutter import PoseAt, Seen, Way
-from tagvo.texture import floor_factor
-from tagvo.trace import Array32, Samples, Surfaces
+from tagvo.render import shutter
+from tagvo.render.cells_hit import Array32, Samples, Surfaces
+from tagvo.render.config import LensConfig
+from tagvo.render.lighting import even_light, flicker, glare_grey, shaded_share
+from tagvo.render.scanline import paint
+from tagvo.render.scene import Scene
+from tagvo.render.sensor import Image, defocused, develop, pad_of
+from tagvo.render.shutter import PoseAt, Seen, Way
+from tagvo.render.surfaces import Patches
+from tagvo.render.texture import floor_factor
+from tagvo.render.visibility import boxes_in_view, cells_from_rays
 
 _GRID = 4  # [px] between the places where the light is computed
 _LOW = np.array([True, False, True, False])  # of x0 x1 y0 y1

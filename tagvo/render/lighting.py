@@ -6,7 +6,7 @@ Everything here is smooth across the picture and computed on places of the floor
 import numpy as np
 
 from tagvo.geometry import Array
-from tagvo.sceneconfig import GlareConfig, LightConfig, ShadowConfig
+from tagvo.render.config import GlareConfig, LightConfig, ShadowConfig
 
 _LAMP_M = 2.6  # height of the lamp where the config names none
 _HULL = 0.35  # radius of the hull, as a share of the vehicle's

@@ -10,13 +10,13 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array, BoolArray, IntArray
-from tagvo.light import even_light, lamps_over
-from tagvo.patches import Patches, joined, object_patches, tag_patches
-from tagvo.sceneconfig import LensConfig as LensConfig
-from tagvo.sceneconfig import SceneConfig as SceneConfig
+from tagvo.render.cells_hit import BLACK, FIRST_OBJECT, WHITE
+from tagvo.render.config import LensConfig as LensConfig
+from tagvo.render.config import SceneConfig as SceneConfig
+from tagvo.render.lighting import even_light, lamps_over
+from tagvo.render.surfaces import Patches, joined, object_patches, tag_patches
+from tagvo.render.texture import Texture, make_texture
 from tagvo.tags.tag_map import TagMap
-from tagvo.texture import Texture, make_texture
-from tagvo.trace import BLACK, FIRST_OBJECT, WHITE
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagvo.camera.model import Camera
-from tagvo.sceneconfig import LensConfig
-from tagvo.trace import Array32
+from tagvo.render.cells_hit import Array32
+from tagvo.render.config import LensConfig
 
 Image: TypeAlias = NDArray[np.uint8]
 

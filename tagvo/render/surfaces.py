@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array, BoolArray, IntArray
-from tagvo.sceneconfig import OccluderConfig
+from tagvo.render.cells_hit import BARE, BLACK, BLOB, CELLS, FIRST_OBJECT, KNOTS, TORN, WHITE, Codes
+from tagvo.render.config import OccluderConfig
 from tagvo.tags.bitmaps import tag_bitmap
 from tagvo.tags.tag_map import TagMap
-from tagvo.trace import BARE, BLACK, BLOB, CELLS, FIRST_OBJECT, KNOTS, TORN, WHITE, Codes
 
 _SHADES = np.array([1.0, 0.75, 0.5])  # an object's three codes: top, bright and dark sides
 _TEAR_AT = (0.0, 0.22)  # of the half side, from the middle: every family's border is cut

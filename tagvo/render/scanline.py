@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tagvo.geometry import IntArray
 from tagvo.kernels.jit import njit
-from tagvo.trace import (
+from tagvo.render.cells_hit import (
     BARE,
     BLACK,
     CELLS,

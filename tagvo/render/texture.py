@@ -11,8 +11,8 @@ import numpy as np
 
 from tagvo.geometry import Array
 from tagvo.kernels.jit import njit
-from tagvo.sceneconfig import TextureConfig
-from tagvo.trace import Array32, Codes
+from tagvo.render.cells_hit import Array32, Codes
+from tagvo.render.config import TextureConfig
 
 PERIOD_M = 2.048
 _SIDE = 2048  # texels of the finest level: 1 mm each

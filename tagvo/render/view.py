@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera, unproject
 from tagvo.geometry import Array, IntArray
-from tagvo.imaging import render_frame as render_frame
-from tagvo.outlines import boxes_in_view, cells_from_rays
-from tagvo.scene import displaced as displaced
-from tagvo.sensor import Image as Image
+from tagvo.render.frame import render_frame as render_frame
+from tagvo.render.scene import displaced as displaced
+from tagvo.render.sensor import Image as Image
+from tagvo.render.visibility import boxes_in_view, cells_from_rays
 from tagvo.tags.bitmaps import tag_bitmap
 from tagvo.tags.tag_map import TagMap
 
