@@ -14,8 +14,8 @@ from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
 from tagvo.errors import MapError
-from tagvo.mapformats import FORMATS, read_map_file, write_map_file
-from tagvo.mapformats.common import HOLDABLE
+from tagvo.maps.formats import FORMATS, read_map_file, write_map_file
+from tagvo.maps.formats.common import HOLDABLE
 from tagvo.tags.families import FAMILIES
 from tagvo.tags.tag_map import Gravity, TagMap, load_map, save_map
 

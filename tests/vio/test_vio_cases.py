@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from tagvo.camera.calibration import load_camera
 from tagvo.errors import CameraError
-from tagvo.mapformats import read_map_file
+from tagvo.maps.formats import read_map_file
 
 DATA = os.environ.get("TAGVIO_DATA")
 CASES = Path(DATA).parent / "cases" if DATA else Path("nowhere")

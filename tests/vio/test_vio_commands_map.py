@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tagvo.errors import MapError
-from tagvo.mapformats import FORMATS
+from tagvo.maps.formats import FORMATS
 from tagvo.tags.tag_map import load_map
 from vio.commands.map import MapFormat, app
 

@@ -45,7 +45,7 @@ class Written:
 def read_rig(found: Foreign, files: Files, tally: "Tally") -> Rig:
     """The rig of the files named, else what the log itself says; doubts go to the tally."""
     from tagvo.camera.calibration import load_camera
-    from tagvo.mapformats import read_map_file
+    from tagvo.maps.formats import read_map_file
     from vio.sources.logfiles import read_imu_noise
 
     map_file, camera_file, noise_file = files

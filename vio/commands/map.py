@@ -107,7 +107,7 @@ def show(
 
     Walls are drawn from the front; tags on several surfaces from above a corner, with a panel each.
     """
-    from tagvo.mapformats import read_map_file
+    from tagvo.maps.formats import read_map_file
     from tagvo.mapshow import draw_map
 
     if out.suffix.lower() not in (".png", ".svg"):
@@ -147,7 +147,7 @@ def convert(
 
     Tag axes are turned at the border: ours are x right, y up, z out of the printed face.
     """
-    from tagvo.mapformats import read_map_file, write_map_file
+    from tagvo.maps.formats import read_map_file, write_map_file
 
     fmt = to or _format_by_name(target)
     name = None if from_ is None else from_.value

@@ -5,7 +5,7 @@ from typing import Any
 import yaml
 
 from tagvo.errors import MapError, choose_one_of
-from tagvo.mapformats.common import (
+from tagvo.maps.formats.common import (
     Content,
     Exported,
     Format,

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tagvo.errors import MapError, choose_one_of
-from tagvo.mapformats import (
+from tagvo.maps.formats import (
     apriltag_ros1,
     apriltag_ros2,
     clover,
@@ -18,7 +18,7 @@ from tagvo.mapformats import (
     tagslam,
     wpilib,
 )
-from tagvo.mapformats.common import Content, Format, Imported, ReadOptions, losses_of
+from tagvo.maps.formats.common import Content, Format, Imported, ReadOptions, losses_of
 from tagvo.tags.tag_map import TagMap
 from tagvo.textfile import parse_json, parse_yaml, read_text, write_atomic
 

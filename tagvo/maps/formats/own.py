@@ -1,7 +1,7 @@
 """The house's own `tagmap.yaml`: it holds everything."""
 
 from tagvo.errors import MapError
-from tagvo.mapformats.common import (
+from tagvo.maps.formats.common import (
     HOLDABLE,
     Content,
     Exported,

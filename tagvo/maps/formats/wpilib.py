@@ -15,7 +15,7 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array
-from tagvo.mapformats.common import (
+from tagvo.maps.formats.common import (
     Content,
     Exported,
     Format,

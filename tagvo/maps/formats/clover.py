@@ -6,7 +6,7 @@ A row may end after y: what is left out is 0.
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.mapformats.common import (
+from tagvo.maps.formats.common import (
     Content,
     Exported,
     Format,

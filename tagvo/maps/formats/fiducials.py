@@ -8,7 +8,7 @@ in its maps with rx = 180). The variance is the weight of its own filter, not a 
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.mapformats.common import (
+from tagvo.maps.formats.common import (
     Content,
     Exported,
     Format,

@@ -11,7 +11,7 @@ import yaml
 from tagvo import geometry as geo
 from tagvo.errors import MapError, shown
 from tagvo.geometry import Array
-from tagvo.mapformats.common import (
+from tagvo.maps.formats.common import (
     Content,
     Exported,
     Format,

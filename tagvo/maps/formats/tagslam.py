@@ -13,7 +13,7 @@ import yaml
 from tagvo import geometry as geo
 from tagvo.errors import MapError, choose_one_of, shown
 from tagvo.geometry import Array
-from tagvo.mapformats.common import (
+from tagvo.maps.formats.common import (
     Content,
     Exported,
     Format,

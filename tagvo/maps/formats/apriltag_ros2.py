@@ -8,7 +8,7 @@ import numpy as np
 import yaml
 
 from tagvo.errors import MapError, shown
-from tagvo.mapformats.common import Content, Exported, Format, Imported, ReadOptions
+from tagvo.maps.formats.common import Content, Exported, Format, Imported, ReadOptions
 from tagvo.tags.families import Family, family_named
 from tagvo.tags.tag_map import TagMap, map_from_dict, map_to_dict
 

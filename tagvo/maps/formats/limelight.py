@@ -14,7 +14,7 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.errors import MapError, shown
 from tagvo.geometry import Array
-from tagvo.mapformats.common import (
+from tagvo.maps.formats.common import (
     Content,
     Exported,
     Format,
@@ -26,7 +26,7 @@ from tagvo.mapformats.common import (
     need_mapping,
     tag_dicts,
 )
-from tagvo.mapformats.wpilib import R_FT
+from tagvo.maps.formats.wpilib import R_FT
 from tagvo.tags.families import FAMILIES
 from tagvo.tags.tag_map import TagMap, numbers
 from tagvo.textfile import finite_number

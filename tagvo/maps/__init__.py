@@ -1,0 +1,1 @@
+"""Tag maps: checked, designed, drawn, printed, read and written in other formats."""
