@@ -10,9 +10,9 @@ from simulated import arena, pinhole
 
 from tagvo.errors import MapError
 from tagvo.mapcheck import check_map_data
-from tagvo.mapdesign import MapWish, lay_out, plan_map, search_tile, usual_shares
-from tagvo.maptile import filled, mirrored_within, moved, packed, repeated
-from tagvo.mapviews import counts_in_view, heights_between, score
+from tagvo.maps.design.coverage import counts_in_view, heights_between, score
+from tagvo.maps.design.plan import MapWish, lay_out, plan_map, search_tile, usual_shares
+from tagvo.maps.design.tile import filled, mirrored_within, moved, packed, repeated
 from tagvo.tags.families import FAMILIES
 from tagvo.tags.tag_map import load_map, map_to_dict, save_map
 
@@ -223,6 +223,6 @@ def test_the_arena_stays_as_it_was_published():
     committed = Path(__file__).parents[2] / "configs/maps/arena.yaml"
     text = committed.read_text(encoding="utf-8")
     assert text.count("\n") == 418
-    from tagvo.mapgen import arena_yaml
+    from tagvo.maps.design.paper_floor import arena_yaml
 
     assert arena_yaml() == text

@@ -7,7 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tagvo.mapgen import ARENA_SIZE, arena_layout, arena_map, arena_yaml, mirrored, tile_layout
+from tagvo.maps.design.paper_floor import (
+    ARENA_SIZE,
+    arena_layout,
+    arena_map,
+    arena_yaml,
+    mirrored,
+    tile_layout,
+)
 from tagvo.tags.tag_map import load_map
 
 ARENA = Path(__file__).parents[2] / "configs" / "maps" / "arena.yaml"

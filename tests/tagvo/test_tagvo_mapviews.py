@@ -8,10 +8,7 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera
 from tagvo.detect.apriltag import AprilTagDetector
 from tagvo.errors import MapError
-from tagvo.mapdesign import MapWish, lay_out, plan_map
-from tagvo.mapsearch import Found, counts_of, sight_of
-from tagvo.maptile import filled, repeated
-from tagvo.mapviews import (
+from tagvo.maps.design.coverage import (
     HEADINGS,
     MIN_PX,
     by_height,
@@ -21,6 +18,9 @@ from tagvo.mapviews import (
     score,
     worth_in_tags,
 )
+from tagvo.maps.design.plan import MapWish, lay_out, plan_map
+from tagvo.maps.design.search import Found, counts_of, sight_of
+from tagvo.maps.design.tile import filled, repeated
 from tagvo.render.view import render_view
 from tagvo.tags.tag_map import map_from_dict
 

@@ -11,7 +11,7 @@ from vio.commands.options import progress
 from vio.interrupt import gently
 
 if TYPE_CHECKING:
-    from tagvo.mapdesign import MapWish, Plan
+    from tagvo.maps.design.plan import MapWish, Plan
 
 _HEAD = """\
 # {x:g} m x {y:g} m of floor: x, y along it, z up, W at a corner. {tags} tags of {family}.
@@ -88,7 +88,7 @@ def command(
     """
     import numpy as np
 
-    from tagvo.mapdesign import lay_out, plan_map, search_tile
+    from tagvo.maps.design.plan import lay_out, plan_map, search_tile
     from tagvo.tags.tag_map import map_to_yaml
     from tagvo.textfile import write_atomic
 
@@ -127,7 +127,7 @@ def _wish(
     tiles: str | None,
     first_id: int,
 ) -> "MapWish":
-    from tagvo.mapdesign import MapWish, usual_shares
+    from tagvo.maps.design.plan import MapWish, usual_shares
     from tagvo.tags.families import family_named
 
     wide, high = opt.numbers(size, "--size", "3,5", 2)

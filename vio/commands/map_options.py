@@ -37,7 +37,7 @@ def numbers(text: str, hint: str, example: str, count: int | None = None) -> tup
 
 def heights_of(text: str) -> "Array":
     """The heights [m] that LOW,HIGH stands for."""
-    from tagvo.mapviews import heights_between
+    from tagvo.maps.design.coverage import heights_between
 
     low, high = numbers(text, "--heights", "0.3,2.5", 2)
     if not 0.0 < low <= high <= 1e3:

@@ -43,7 +43,7 @@ def echo_views(tag_map: "TagMap", camera: "Camera", heights: "Array", min_px: fl
     """Print the table of a map and its objective, in bits; -> the objective."""
     import numpy as np
 
-    from tagvo.mapviews import by_height, counts_in_view, score, worth_in_tags
+    from tagvo.maps.design.coverage import by_height, counts_in_view, score, worth_in_tags
 
     rows = []
     with progress(len(heights), "looking") as step:

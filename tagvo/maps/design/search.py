@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from tagvo.camera.model import Camera
 from tagvo.errors import MapError
 from tagvo.geometry import Array, IntArray
-from tagvo.maptile import Square, filled, moved, repeated
-from tagvo.mapviews import HEADINGS, MIN_PX, cell_middles, edge_rays, score
+from tagvo.maps.design.coverage import HEADINGS, MIN_PX, cell_middles, edge_rays, score
+from tagvo.maps.design.tile import Square, filled, moved, repeated
 
 Array32: TypeAlias = NDArray[np.float32]
 

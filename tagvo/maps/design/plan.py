@@ -13,10 +13,10 @@ import numpy as np
 from tagvo.camera.model import Camera
 from tagvo.errors import MapError
 from tagvo.geometry import Array
-from tagvo.mapgen import floor_map
-from tagvo.mapsearch import Found, Grid, anneal, sight_of
-from tagvo.maptile import Square, filled, packed, repeated
-from tagvo.mapviews import MIN_PX
+from tagvo.maps.design.coverage import MIN_PX
+from tagvo.maps.design.paper_floor import floor_map
+from tagvo.maps.design.search import Found, Grid, anneal, sight_of
+from tagvo.maps.design.tile import Square, filled, packed, repeated
 from tagvo.tags.families import FAMILIES, Family
 from tagvo.tags.tag_map import TagMap
 

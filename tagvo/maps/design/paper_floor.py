@@ -13,7 +13,7 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array, IntArray
-from tagvo.maptile import mirrored_within
+from tagvo.maps.design.tile import mirrored_within
 from tagvo.tags.families import FAMILIES, Family
 from tagvo.tags.tag_map import TagMap, map_from_dict, map_to_yaml
 from tagvo.textfile import write_atomic
