@@ -10,7 +10,7 @@ from tagvo.mapcheck import size_classes
 from tagvo.mapprint.cutting import PAPERS
 from tagvo.mapprint.pen import Colour, Pen, fitted, text_width
 from tagvo.mapprint.sheet import GREY, HAIR, THIN, Drawing
-from tagvo.mapview import nice_step
+from tagvo.maps.draw.views import nice_step
 from tagvo.tags.tag_map import TagMap
 
 _MARGIN = 0.015  # of the page [m]

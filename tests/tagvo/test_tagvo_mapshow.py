@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
 from tagvo.errors import MapError
-from tagvo.mapshow import draw_map
-from tagvo.mapview import corner_view, frontal_view, nice_step, surfaces_of
+from tagvo.maps.draw.page import draw_map
+from tagvo.maps.draw.views import corner_view, frontal_view, nice_step, surfaces_of
 from tagvo.tags.tag_map import TagMap, map_from_dict
 
 FLOOR = (1.0, 0.0, 0.0, 0.0)

@@ -107,8 +107,8 @@ def show(
 
     Walls are drawn from the front; tags on several surfaces from above a corner, with a panel each.
     """
+    from tagvo.maps.draw.page import draw_map
     from tagvo.maps.formats import read_map_file
-    from tagvo.mapshow import draw_map
 
     if out.suffix.lower() not in (".png", ".svg"):
         raise typer.BadParameter(f"{out}: a name in .png or .svg is needed", param_hint="--out")

@@ -14,7 +14,7 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera, project, unproject
 from tagvo.errors import MapError
 from tagvo.geometry import Array, BoolArray, IntArray
-from tagvo.mapview import View, frontal_view, surfaces_of
+from tagvo.maps.draw.views import View, frontal_view, surfaces_of
 from tagvo.tags.tag_map import TagMap, tag_corners
 
 MIN_PX = 20.0  # from here the usual decimation by 2 loses no tag

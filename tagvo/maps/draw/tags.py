@@ -6,7 +6,7 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array, BoolArray, IntArray
-from tagvo.mapview import View, nice_step
+from tagvo.maps.draw.views import View, nice_step
 from tagvo.tags.tag_map import TagMap, tag_corners
 
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""Pictures of maps, and pages to look through them."""
