@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from tagvo.errors import MapError
-from tagvo.mapprint.cutting import LONGEST, PAPERS, Paper, cut_lines, cut_plane, named_paper
-from tagvo.mapprint.outlines import black_outlines, tag_outlines
+from tagvo.maps.printing.cutting import LONGEST, PAPERS, Paper, cut_lines, cut_plane, named_paper
+from tagvo.maps.printing.outlines import black_outlines, tag_outlines
 from tagvo.tags.families import FAMILIES
 
 spans = st.lists(st.tuples(st.integers(0, 28), st.integers(1, 8)), min_size=1, max_size=8)

@@ -13,10 +13,10 @@ from scans import crop_corner, detect, image_objects, line_at, mosaic, pages
 
 from tagvo import geometry as geo
 from tagvo.errors import MapError
-from tagvo.mapprint import draw_print, plan_print
-from tagvo.mapprint.cutting import LONGEST, PAPERS, Paper
 from tagvo.maps.design.plan import MapWish, lay_out, plan_map
 from tagvo.maps.design.search import Found
+from tagvo.maps.printing import draw_print, plan_print
+from tagvo.maps.printing.cutting import LONGEST, PAPERS, Paper
 from tagvo.tags.bitmaps import tag_bitmap
 from tagvo.tags.tag_map import map_from_dict, map_to_dict
 

@@ -8,7 +8,7 @@ import yaml
 from cli_calls import tagvio
 from scans import detect, pages
 
-from tagvo.mapprint.cutting import PAPERS
+from tagvo.maps.printing.cutting import PAPERS
 from tagvo.tags.tag_map import load_map
 from vio.commands import map_new
 from vio.commands.map_print import PaperName

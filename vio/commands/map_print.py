@@ -9,8 +9,8 @@ import typer
 from vio.commands.options import OnlyTags, ids_of, progress
 
 if TYPE_CHECKING:
-    from tagvo.mapprint import Print
-    from tagvo.mapprint.cutting import Paper
+    from tagvo.maps.printing import Print
+    from tagvo.maps.printing.cutting import Paper
 
 
 class PaperName(StrEnum):
@@ -71,7 +71,7 @@ def command(
     """
     import numpy as np
 
-    from tagvo.mapprint import draw_print, plan_print
+    from tagvo.maps.printing import draw_print, plan_print
     from tagvo.tags.tag_map import load_map
 
     if out.suffix.lower() != ".pdf":
@@ -95,7 +95,7 @@ def command(
 def _paper(
     name: PaperName, roll: float | None, turn: Turn, margin: float, overlap: float
 ) -> "Paper":
-    from tagvo.mapprint.cutting import LONGEST, Paper, named_paper
+    from tagvo.maps.printing.cutting import LONGEST, Paper, named_paper
 
     if roll is None:
         called, (width, height) = name.value, named_paper(name.value)
@@ -106,7 +106,7 @@ def _paper(
 
 
 def _report(ready: "Print", out: Path, pages: int) -> None:
-    from tagvo.mapprint.index import sheets_in_words
+    from tagvo.maps.printing.index import sheets_in_words
 
     tags = sum(len(d.plane.at) for d in ready.drawings)
     if ready.each:

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from tagvo.geometry import Array
-from tagvo.mapprint.cutting import Paper, Sheet, Sheets, cut_plane
-from tagvo.mapprint.index import class_lines, draw_index, draw_list, list_pages
-from tagvo.mapprint.pen import Pen, text_width
-from tagvo.mapprint.plane import Number, numbers_beside, plane_of
-from tagvo.mapprint.sheet import Drawing, draw_sheet, place_of
+from tagvo.maps.printing.cutting import Paper, Sheet, Sheets, cut_plane
+from tagvo.maps.printing.index import class_lines, draw_index, draw_list, list_pages
+from tagvo.maps.printing.pen import Pen, text_width
+from tagvo.maps.printing.plane import Number, numbers_beside, plane_of
+from tagvo.maps.printing.sheet import Drawing, draw_sheet, place_of
 from tagvo.tags.tag_map import TagMap
 from tagvo.textfile import write_atomic
 

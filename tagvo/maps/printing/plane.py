@@ -12,8 +12,8 @@ import numpy as np
 
 from tagvo.errors import MapError
 from tagvo.geometry import Array, IntArray
-from tagvo.mapprint.outlines import tag_outlines
 from tagvo.maps.draw.views import View, frontal_view
+from tagvo.maps.printing.outlines import tag_outlines
 from tagvo.tags.tag_map import TagMap, tag_corners
 
 _FLAT_COS, _FLAT_M = np.cos(np.radians(2.0)), 0.02  # what may be pressed flat

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagvo.geometry import Array, IntArray
-from tagvo.mapprint.cutting import FOOTER, RULER, Paper, Sheet, Sheets
-from tagvo.mapprint.pen import Colour, Pen, fitted
-from tagvo.mapprint.plane import Number, Plane
+from tagvo.maps.printing.cutting import FOOTER, RULER, Paper, Sheet, Sheets
+from tagvo.maps.printing.pen import Colour, Pen, fitted
+from tagvo.maps.printing.plane import Number, Plane
 
 HAIR, THIN = 0.0001, 0.0002  # widths of lines [m]
 GREY: Colour = (0.55, 0.55, 0.55)

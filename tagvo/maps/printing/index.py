@@ -7,10 +7,10 @@ import numpy as np
 
 from tagvo.geometry import Array
 from tagvo.mapcheck import size_classes
-from tagvo.mapprint.cutting import PAPERS
-from tagvo.mapprint.pen import Colour, Pen, fitted, text_width
-from tagvo.mapprint.sheet import GREY, HAIR, THIN, Drawing
 from tagvo.maps.draw.views import nice_step
+from tagvo.maps.printing.cutting import PAPERS
+from tagvo.maps.printing.pen import Colour, Pen, fitted, text_width
+from tagvo.maps.printing.sheet import GREY, HAIR, THIN, Drawing
 from tagvo.tags.tag_map import TagMap
 
 _MARGIN = 0.015  # of the page [m]
