@@ -14,7 +14,7 @@ import numpy as np
 
 from tagvo.camera.calibration import load_camera
 from tagvo.errors import MapError
-from tagvo.mapcheck import check_map_data, summed_up
+from tagvo.maps.check import check_map_data, summed_up
 from tagvo.maps.formats import FORMATS, read_map_file, write_map_file
 from tagvo.records import Detections, Frame
 from tagvo.tags.tag_map import load_map, map_from_dict

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tagvo.errors import MapError
-from tagvo.mapcheck import check_map_data, size_classes
+from tagvo.maps.check import check_map_data, size_classes
 from tagvo.tags.tag_map import map_from_dict
 from tagvo.textfile import read_yaml
 

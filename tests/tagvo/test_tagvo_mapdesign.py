@@ -9,7 +9,7 @@ import pytest
 from simulated import arena, pinhole
 
 from tagvo.errors import MapError
-from tagvo.mapcheck import check_map_data
+from tagvo.maps.check import check_map_data
 from tagvo.maps.design.coverage import counts_in_view, heights_between, score
 from tagvo.maps.design.plan import MapWish, lay_out, plan_map, search_tile, usual_shares
 from tagvo.maps.design.tile import filled, mirrored_within, moved, packed, repeated

@@ -16,7 +16,7 @@ from small_log import CAMERA, TAG_MAP, write_log
 
 from tagvo.camera.calibration import load_camera
 from tagvo.errors import CameraError, MapError, TagvoError, shown
-from tagvo.mapcheck import check_map_data, summed_up
+from tagvo.maps.check import check_map_data, summed_up
 from tagvo.maps.formats import read_map_file
 from tagvo.textfile import parse_yaml, read_text
 from vio.config import load_config

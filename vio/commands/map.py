@@ -69,7 +69,7 @@ def check(path: MapFile) -> None:
     by total/border. Many findings are summed up in 20 lines.
     """
     from tagvo.errors import MapError
-    from tagvo.mapcheck import check_map_data, summed_up
+    from tagvo.maps.check import check_map_data, summed_up
     from tagvo.tags.tag_map import map_from_dict
     from tagvo.textfile import read_yaml
 
@@ -86,7 +86,7 @@ def check(path: MapFile) -> None:
 
 
 def _echo_classes(tag_map: "TagMap") -> None:
-    from tagvo.mapcheck import size_classes
+    from tagvo.maps.check import size_classes
 
     typer.echo(f"{len(tag_map)} tags of {tag_map.family.name}, size_kind {tag_map.size_kind}:")
     for c in size_classes(tag_map):

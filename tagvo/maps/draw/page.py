@@ -11,7 +11,7 @@ import numpy as np
 
 from tagvo.errors import MapError
 from tagvo.geometry import IntArray
-from tagvo.mapcheck import size_classes
+from tagvo.maps.check import size_classes
 from tagvo.maps.draw.tags import AXES, EDGE, INK, class_colours, draw_tags, limits
 from tagvo.maps.draw.views import View, corner_view, frontal_view, surface_name, surfaces_of
 from tagvo.tags.tag_map import TagMap

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagvo.geometry import Array
-from tagvo.mapcheck import size_classes
+from tagvo.maps.check import size_classes
 from tagvo.maps.draw.views import nice_step
 from tagvo.maps.printing.cutting import PAPERS
 from tagvo.maps.printing.pen import Colour, Pen, fitted, text_width

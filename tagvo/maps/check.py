@@ -12,7 +12,7 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.errors import MapError, choose_one_of, shown
-from tagvo.mapoverlap import Squares, pairs_in_one_plane, penetration
+from tagvo.maps.overlap import Squares, pairs_in_one_plane, penetration
 from tagvo.tags.families import FAMILIES, Family, family_named
 from tagvo.tags.tag_map import SIZE_KINDS, TagMap, map_from_dict, position, side, unit_quaternion
 from tagvo.textfile import is_number
