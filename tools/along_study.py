@@ -30,6 +30,7 @@ from clock_study import play
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from vio.arms import VoArm
+from vio.config.filter import VioConfig
 from vio.estimator import Estimator
 from vio.evaluate.metrics import capture_errors, now_errors, stats
 from vio.evaluate.records import Window, take
@@ -37,7 +38,6 @@ from vio.evaluate.truth import clean_truth
 from vio.filter_arm import VioArm
 from vio.records import ImuTrack
 from vio.run import run, trajectory
-from vio.settings import VioConfig
 from vio.sim.along import followed
 from vio.sim.pictures import frames
 from vio.sim.record import write_log

@@ -42,8 +42,8 @@ def a_state(n):
 
 
 def noise():
+    from vio.config.filter import VioConfig
     from vio.estimator import process_noise
-    from vio.settings import VioConfig
     from vio.sim.inertial import PIXHAWK
 
     return process_noise(PIXHAWK, VioConfig())

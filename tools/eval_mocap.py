@@ -25,8 +25,8 @@ from oracles.mocap_study import (
     tagvo_poses,
 )
 
-from vio.assets import config_path
 from vio.config import load_config
+from vio.config.shipped import config_path
 
 
 def row(name: str, data: MocapSet, poses: dict[int, Pose]) -> str:

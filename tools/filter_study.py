@@ -23,9 +23,9 @@ from tagvo.camera.model import Camera
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import PoseMeasurement
+from vio.config.filter import PriorConfig, VioConfig
 from vio.estimator import Estimator
 from vio.records import ImuSample
-from vio.settings import PriorConfig, VioConfig
 from vio.sim.inertial import PIXHAWK, simulate_imu
 from vio.sim.poses import PoseNoise, PoseStream, simulate_poses, wrong_rig
 from vio.sim.trajectory import FLIGHTS, circle, hover, t1

@@ -12,6 +12,7 @@ from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import Observations, PoseMeasurement, PosePrior
 from tagvo.tags.tag_map import TagMap
 from vio import layout as at
+from vio.config.filter import VioConfig
 from vio.corners import pack
 from vio.health import Health, Signs, judge
 from vio.imu_noise import NoiseMeter, noise_words
@@ -21,7 +22,6 @@ from vio.pivot import pose_row
 from vio.records import ImuNoise, ImuSample, Moment, NavState
 from vio.recovery import LostWatch, relocation
 from vio.rig import RigJudge
-from vio.settings import VioConfig
 from vio.start import CalibrationBounds, Rig, begin, dimension, is_still, moves
 from vio.window import Window
 

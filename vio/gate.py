@@ -11,8 +11,8 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.geometry import Array
 from vio import layout as at
+from vio.config.filter import RecoveryConfig
 from vio.memory import no_memory
-from vio.settings import RecoveryConfig
 
 
 @dataclass(frozen=True, slots=True, eq=False)

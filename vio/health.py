@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from vio.settings import HealthConfig
+from vio.config.filter import HealthConfig
 
 
 class State(StrEnum):

@@ -8,9 +8,9 @@ from tagvo import geometry as geo
 from tagvo.geometry import Array
 from tagvo.records import PoseMeasurement
 from vio import layout as at
+from vio.config.filter import RecoveryConfig
 from vio.gate import Rejected, agreement, relocate
 from vio.health import Health, State
-from vio.settings import RecoveryConfig
 from vio.window import Window
 
 _POSES_STOP_NS = 1_000_000_000  # poses further apart do not keep arriving

@@ -16,9 +16,9 @@ from tagvo.records import Detections, Frame, PoseMeasurement, PosePrior
 from tagvo.tags.families import FAMILIES
 from tagvo.tags.tag_map import TagMap, map_from_dict
 from tagvo.track import Tracker
+from vio.config.filter import VioConfig
 from vio.estimator import USUAL_NOISE, Estimator
 from vio.records import ImuSample
-from vio.settings import VioConfig
 
 _SIDE_PX, _PITCH_PX = 40.0, 50.0
 _IMU_STEP_NS, _STEPS, _POSE_EVERY = 10_000_000, 150, 5  # 1.5 s at 100 Hz, poses at 20 Hz

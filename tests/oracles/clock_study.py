@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as m
 
+from vio.config.mavlink import MavlinkConfig
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS
-from vio.mavlink_settings import MavlinkConfig
 from vio.sources.live_imu import MavlinkImu
 
 WANTED = {m.MAVLINK_MSG_ID_HEARTBEAT, m.MAVLINK_MSG_ID_TIMESYNC, m.MAVLINK_MSG_ID_HIGHRES_IMU}

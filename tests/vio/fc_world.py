@@ -7,11 +7,11 @@ import numpy as np
 from fc_vehicle import turn
 from numpy import eye, zeros
 
+from vio.config.mavlink import MavlinkConfig
 from vio.frames import FLIP
 from vio.health import Health, Signs, State
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec
-from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment, NavState
 from vio.sources.live_imu import MavlinkImu
 

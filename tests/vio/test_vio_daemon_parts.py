@@ -14,6 +14,8 @@ from simulated import grid_map, pinhole
 from tagvo.detect.protocol import no_detections
 from tagvo.records import Detections, Frame
 from vio.arms import Output
+from vio.config.daemon import RecordConfig
+from vio.config.filter import VioConfig
 from vio.daemon.clock import FlightClock
 from vio.daemon.ground import GroundJudge
 from vio.daemon.meter import Meter
@@ -22,11 +24,9 @@ from vio.daemon.prepare import _names
 from vio.daemon.recorder import Recorder
 from vio.daemon.status import Rates, Status
 from vio.daemon.worker import Detection
-from vio.daemon_settings import RecordConfig
 from vio.health import Health, State
 from vio.mavlink.fields import Outgoing
 from vio.records import Ground, ImuSample, Moment, NavState
-from vio.settings import VioConfig
 from vio.sinks.log import LogWriter
 from vio.sources.live_camera import Latest
 from vio.sources.log import FlightLog

@@ -8,6 +8,8 @@ from numpy import eye, zeros
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from tagvo.records import Frame
+from vio.config.filter import VioConfig
+from vio.config.mavlink import MavlinkConfig
 from vio.daemon.arm import FlightArm
 from vio.daemon.clock import FlightClock
 from vio.daemon.setup import SetupGuard
@@ -15,9 +17,7 @@ from vio.estimator import Estimator
 from vio.health import State
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec
-from vio.mavlink_settings import MavlinkConfig
 from vio.records import ImuSample
-from vio.settings import VioConfig
 from vio.setup_findings import Finding
 from vio.sim.inertial import PIXHAWK
 from vio.sources.live_imu import MavlinkImu

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
-from vio.assets import config_path
 from vio.commands.demo import sentence
 from vio.commands.demo_flight import GRAVITY, demo_flight, imu_samples, seconds, stamps
+from vio.config.shipped import config_path
 from vio.records import ImuNoise
 
 

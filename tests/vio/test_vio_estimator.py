@@ -9,12 +9,12 @@ from oracles.suspect_study import flight
 from tagvo import geometry as geo
 from tagvo.pipeline import TagVO
 from vio import layout as at
+from vio.config.filter import PriorConfig, VioConfig
 from vio.estimator import Estimator
 from vio.filter_arm import VioArm
 from vio.frames import level_frame
 from vio.health import State
 from vio.records import ImuSample
-from vio.settings import PriorConfig, VioConfig
 from vio.sim.inertial import PIXHAWK
 from vio.sim.poses import PoseNoise, wrong_rig
 from vio.window import _mean_rate, _rate_span

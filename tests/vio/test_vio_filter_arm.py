@@ -11,10 +11,10 @@ from tagvo import geometry as geo
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame, PosePrior
+from vio.config.filter import VioConfig
 from vio.estimator import Estimator
 from vio.filter_arm import VioArm, VoKfArm
 from vio.records import ImuSample
-from vio.settings import VioConfig
 from vio.sim.inertial import PIXHAWK
 from vio.sim.poses import PoseNoise
 

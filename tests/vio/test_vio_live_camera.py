@@ -9,7 +9,7 @@ import pytest
 from fc_live import until
 
 from tagvo.records import Frame
-from vio.daemon_settings import CameraConfig
+from vio.config.daemon import CameraConfig
 from vio.errors import CameraLost, SourceError
 from vio.sources import live_grab
 from vio.sources.live_camera import Latest, LiveCamera

@@ -8,9 +8,9 @@ from fc_vehicle import Vehicle
 from fc_world import MS, S, World, health, moments
 from pymavlink.dialects.v20 import ardupilotmega as m
 
+from vio.config.mavlink import BeliefConfig
 from vio.health import State
 from vio.mavlink.belief import Belief, BeliefCheck, SentPose
-from vio.mavlink_settings import BeliefConfig
 
 CRITICAL, ACTIVE, TERMINATION = 5, 4, 8
 

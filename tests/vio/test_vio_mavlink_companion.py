@@ -11,11 +11,11 @@ from fc_world import EPOCH, MS, S, World, health, moments
 from pymavlink.dialects.v20 import ardupilotmega as m
 from scipy.spatial.transform import Rotation
 
+from vio.config.mavlink import MavlinkConfig
 from vio.health import State
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec
 from vio.mavlink.resets import ResetCounter
-from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment, NavState
 
 

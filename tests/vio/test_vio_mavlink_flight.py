@@ -6,10 +6,10 @@ from flights import CAMERA, Estimator, ImuSample, PoseNoise, events, feed, fly
 from test_vio_mavlink_companion import beat
 
 from tagvo.records import PoseMeasurement
+from vio.config.filter import VioConfig
+from vio.config.mavlink import MavlinkConfig
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS
-from vio.mavlink_settings import MavlinkConfig
-from vio.settings import VioConfig
 from vio.sim.inertial import PIXHAWK
 
 HEADING = 60.0

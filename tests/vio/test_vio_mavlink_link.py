@@ -14,6 +14,7 @@ from fc_live import Live, free_port, pty, tcp_server, udp_to, until
 from fc_world import health
 from pymavlink.dialects.v20 import ardupilotmega as m
 
+from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError
 from vio.mavlink import bridge as bridge_module
 from vio.mavlink import transport
@@ -21,7 +22,6 @@ from vio.mavlink.bridge import Bridge, now_ns
 from vio.mavlink.saved import Saved, first_counter, load_saved, save
 from vio.mavlink.transport import TcpClient, UdpSocket, open_transport
 from vio.mavlink.url import Address, check_baud, parse_url
-from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment, NavState
 from vio.sources.live_imu import MavlinkImu
 

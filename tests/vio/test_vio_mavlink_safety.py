@@ -10,14 +10,14 @@ from numpy import eye, zeros
 from pymavlink.dialects.v20 import ardupilotmega as m
 from scipy.spatial.transform import Rotation
 
+from vio.config.filter import HealthConfig
+from vio.config.mavlink import MavlinkConfig
 from vio.health import State
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec
 from vio.mavlink.policy import Rules, SendPolicy, Verdict
 from vio.mavlink.resets import ResetCounter
-from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment, NavState
-from vio.settings import HealthConfig
 
 VISION = "VISION_POSITION_ESTIMATE"
 

@@ -5,12 +5,12 @@ import pytest
 from fc_world import EPOCH, MS, S, health
 from pymavlink.dialects.v20 import ardupilotmega as m
 
+from vio.config.mavlink import MavlinkConfig
 from vio.health import State
 from vio.mavlink import bridge as edge
 from vio.mavlink.belief import Belief
 from vio.mavlink.bridge import Bridge
 from vio.mavlink.dialect import Codec
-from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment, NavState
 
 VISION = "VISION_POSITION_ESTIMATE"

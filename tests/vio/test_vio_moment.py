@@ -7,9 +7,9 @@ from flights import CAMERA, CLEAN, events, feed, fly
 from tagvo import geometry as geo
 from tagvo.records import PoseMeasurement
 from vio import layout as at
+from vio.config.filter import VioConfig
 from vio.estimator import Estimator
 from vio.output import moment
-from vio.settings import VioConfig
 from vio.sim.inertial import PIXHAWK
 from vio.window import Window
 

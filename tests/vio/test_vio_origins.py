@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from vio.daemon_settings import ORIGINS
+from vio.config.daemon import ORIGINS
 from vio.errors import VioError
 from vio.sinks.origins import OriginProxy, allowed, hidden_host, origin_of
 

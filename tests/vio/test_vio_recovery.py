@@ -9,11 +9,11 @@ from numpy.testing import assert_allclose
 from tagvo import geometry as geo
 from tagvo.records import PoseMeasurement
 from vio import layout as at
+from vio.config.filter import RecoveryConfig, VioConfig
 from vio.gate import Relocation, relocate
 from vio.intake import Interval
 from vio.memory import no_memory, remember
 from vio.recovery import relocation
-from vio.settings import RecoveryConfig, VioConfig
 from vio.start import Rig, begin
 from vio.window import Window
 

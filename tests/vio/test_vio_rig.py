@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vio import layout as at
+from vio.config.filter import VioConfig
 from vio.rig import RigJudge
-from vio.settings import VioConfig
 from vio.start import prior_covariance
 
 

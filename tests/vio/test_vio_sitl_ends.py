@@ -9,12 +9,12 @@ from flying_log import write_flying_log
 
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
+from vio.config.filter import VioConfig
+from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError, LogError
 from vio.estimator import Estimator
 from vio.evaluate.compare import comparison
 from vio.filter_arm import VioArm
-from vio.mavlink_settings import MavlinkConfig
-from vio.settings import VioConfig
 from vio.sim.inertial import PIXHAWK
 from vio.sitl.ardupilot import ArduPilotEnd
 from vio.sitl.play import play

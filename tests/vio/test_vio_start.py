@@ -10,9 +10,9 @@ from simulated import arena
 from tagvo import geometry as geo
 from tagvo.tags.tag_map import Gravity
 from vio import layout as at
+from vio.config.filter import HealthConfig, PriorConfig, RecoveryConfig, VioConfig
 from vio.health import Health, Signs, State, judge
 from vio.recovery import LostWatch
-from vio.settings import HealthConfig, PriorConfig, RecoveryConfig, VioConfig
 from vio.sim.poses import PoseNoise
 from vio.sim.trajectory import hover
 from vio.start import CalibrationBounds, Rig, moves, trend

@@ -35,9 +35,9 @@ def command(
     paper's pose, DIR/joint the joint pose and the filter. Both tables are printed; each folder
     holds comparison.json, report.html and the trajectories.
     """
-    from vio.assets import config_path
     from vio.commands.compare import judge
     from vio.commands.replay_log import replay_log, vo_arms
+    from vio.config.shipped import config_path
 
     opt.make_folder(out)
     log = out / "log"
@@ -67,8 +67,8 @@ def _fly(log: Path, quick: bool) -> None:
     from tagvo import geometry as geo
     from tagvo.camera.calibration import load_camera
     from tagvo.tags.tag_map import load_map
-    from vio.assets import config_path
     from vio.commands import demo_flight as demo
+    from vio.config.shipped import config_path
     from vio.sim.inertial import PIXHAWK
     from vio.sinks.log import LogWriter
 

@@ -10,9 +10,9 @@ import typer
 from vio.commands import options as opt
 
 if TYPE_CHECKING:
+    from vio.config.mavlink import MavlinkConfig
     from vio.doctor.line import Line
     from vio.doctor.records import Change, Facts, Finding
-    from vio.mavlink_settings import MavlinkConfig
 
 _HEARTBEAT_S = 10.0
 Url = Annotated[

@@ -50,6 +50,6 @@ def heights_of(text: str) -> "Array":
 def camera_of(path: Path | None) -> "Camera":
     """The camera of a file, or the arena's."""
     from tagvo.camera.calibration import load_camera
-    from vio.assets import config_path
+    from vio.config.shipped import config_path
 
     return load_camera(path or config_path("cameras/arena.yaml"))

@@ -88,8 +88,8 @@ def _warm() -> None:
     """Compile before processes start, or each would."""
     from tagvo.camera.calibration import load_camera
     from tagvo.tags.tag_map import load_map
-    from vio.assets import config_path
     from vio.commands.warmup import warm_flight
+    from vio.config.shipped import config_path
     from vio.warmup import warm_renderer
 
     with opt.waiting("loading compiled code (the first run compiles it, some minutes)"):

@@ -31,8 +31,8 @@ def command() -> None:
 def warm_flight() -> None:
     """Compile tag visual odometry, with either pose, and the filter."""
     from tagvo.camera.calibration import load_camera
-    from vio.assets import config_path
     from vio.config import Config
+    from vio.config.shipped import config_path
     from vio.warmup import warm_up
 
     config, camera = Config(), load_camera(config_path("cameras/arena.yaml"))
@@ -44,7 +44,7 @@ def warm_pictures() -> None:
     """Compile what works on pictures: the tracker and the renderer."""
     from tagvo.camera.calibration import load_camera
     from tagvo.tags.tag_map import load_map
-    from vio.assets import config_path
+    from vio.config.shipped import config_path
     from vio.warmup import warm_renderer, warm_tracker
 
     camera = load_camera(config_path("cameras/arena.yaml"))

@@ -7,9 +7,9 @@ from collections import deque
 
 import numpy as np
 
+from vio.config.filter import VioConfig
 from vio.intake import Interval
 from vio.records import ImuSample
-from vio.settings import VioConfig
 from vio.start import is_still
 
 _WINDOW_NS, _EVERY_NS = 1_000_000_000, 200_000_000

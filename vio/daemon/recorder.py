@@ -19,7 +19,7 @@ from typing import Any
 from tagvo import geometry as geo
 from tagvo.records import Frame
 from vio.arms import Output
-from vio.daemon_settings import RecordConfig
+from vio.config.daemon import RecordConfig
 from vio.health import Health
 from vio.mavlink.fields import Outgoing
 from vio.records import Ground, ImuSample

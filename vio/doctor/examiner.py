@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from vio.clock import to_ours
+from vio.config.mavlink import MavlinkConfig
 from vio.doctor.check import names
 from vio.doctor.params import ParamReader
 from vio.doctor.records import Facts, VisionSeen
@@ -20,7 +21,6 @@ from vio.mavlink.fields import (
     Outgoing,
     command,
 )
-from vio.mavlink_settings import MavlinkConfig
 
 _SECOND = 1_000_000_000
 _HOME_ID, _EKF_STATUS_ID, _ESTIMATOR_STATUS_ID, _ODOMETRY = 242, 193, 230, "ODOMETRY"

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from vio.config.mavlink import ImuLinkConfig, MavlinkConfig
 from vio.doctor.examiner import Examiner
 from vio.doctor.params import ParamWriter
 from vio.doctor.records import Change, Facts
@@ -14,7 +15,6 @@ from vio.errors import LinkError
 from vio.mavlink.bridge import Bridge, now_ns
 from vio.mavlink.fields import Outgoing
 from vio.mavlink.url import check_baud, parse_url
-from vio.mavlink_settings import ImuLinkConfig, MavlinkConfig
 
 _TURN_S = 0.01
 _REST_NS, _MOST_REST_NS = 1_000_000_000, 5_000_000_000

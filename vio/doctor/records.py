@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from vio.mavlink_settings import MavlinkConfig
+from vio.config.mavlink import MavlinkConfig
 
 
 class Severity(StrEnum):

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from vio.assets import config_path
+from vio.config.shipped import config_path
 from vio.errors import VioError
 from vio.mavlink.fields import ARDUPILOT
 

@@ -14,8 +14,8 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array
+from vio.config.mavlink import BeliefConfig
 from vio.frames import euler_321
-from vio.mavlink_settings import BeliefConfig
 
 _NEAR_NS = 300_000_000  # from a pose sent: further from one nothing is known
 _GRACE_NS = 5_000_000_000  # after the first pose and each reset: the autopilot's filter settles

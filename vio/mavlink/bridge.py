@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from tagvo.geometry import Array
+from vio.config.filter import HealthConfig
+from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError
 from vio.health import Health
 from vio.mavlink.binding import Binding, Claim
@@ -25,9 +27,7 @@ from vio.mavlink.traffic import Traffic
 from vio.mavlink.transport import Peer, Transport, open_transport
 from vio.mavlink.url import check_baud, parse_url
 from vio.mavlink.vehicle import NAMES, is_vehicle
-from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment
-from vio.settings import HealthConfig
 
 LOG = logging.getLogger("vio.mavlink")
 T = TypeVar("T")

@@ -12,6 +12,8 @@ import numpy as np
 
 from tagvo.geometry import Array
 from vio.clock import Asker, ClockTrack, learn, to_ours
+from vio.config.filter import HealthConfig
+from vio.config.mavlink import MavlinkConfig
 from vio.frames import Alignment, NedPose, largest_sigmas, to_ned
 from vio.health import Health
 from vio.mavlink import fields
@@ -25,9 +27,7 @@ from vio.mavlink.resets import ResetCounter
 from vio.mavlink.streams import StreamRequest
 from vio.mavlink.vehicle import Vehicle
 from vio.mavlink.words import Speaker
-from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment
-from vio.settings import HealthConfig
 
 LOG = logging.getLogger("vio.mavlink")
 _SECOND = 1_000_000_000

@@ -5,8 +5,8 @@ from collections import deque
 from math import atan2, cos, degrees, hypot, log, radians, sin, sqrt
 
 from tagvo.geometry import Array
+from vio.config.mavlink import MavlinkConfig
 from vio.frames import Levelling, heading_of_map
-from vio.mavlink_settings import MavlinkConfig
 from vio.records import NavState
 
 LOG = logging.getLogger("vio.mavlink")

@@ -3,6 +3,7 @@
 import logging
 from typing import Any
 
+from vio.config.mavlink import OriginConfig
 from vio.mavlink.fields import (
     ARDUPILOT,
     GPS_GLOBAL_ORIGIN_ID,
@@ -13,7 +14,6 @@ from vio.mavlink.fields import (
     set_gps_global_origin,
 )
 from vio.mavlink.vehicle import Vehicle
-from vio.mavlink_settings import OriginConfig
 
 LOG = logging.getLogger("vio.mavlink")
 _AGAIN_NS = 1_000_000_000

@@ -3,8 +3,8 @@
 import re
 from dataclasses import dataclass
 
+from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError
-from vio.mavlink_settings import MavlinkConfig
 
 FORMS = "udpin:HOST:PORT (listen), udpout:HOST:PORT (call), tcp:HOST:PORT or serial:/dev/NAME:BAUD"
 _SCHEMES = {"udpin": "udpin", "udp": "udpin", "udpout": "udpout", "tcp": "tcp", "tcpout": "tcp"}

@@ -9,8 +9,8 @@ from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
 from vio.arms import Estimator, VoArm, VoFirArm
-from vio.assets import config_path
 from vio.config import Config, load_config
+from vio.config.shipped import config_path
 from vio.estimator import USUAL_NOISE
 from vio.estimator import Estimator as Filter
 from vio.evaluate.compare import VIEWS

@@ -5,7 +5,7 @@ from typing import Any
 
 from tagvo.errors import ConfigError
 from tagvo.textfile import read_yaml
-from vio.assets import config_path
+from vio.config.shipped import config_path
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,9 @@ from tagvo.config import validated
 from tagvo.errors import ConfigError
 from tagvo.render.scene import LensConfig, SceneConfig
 from tagvo.textfile import read_yaml
-from vio.assets import config_names, config_path
+from vio.config.overrides import assign, origin
+from vio.config.shipped import config_names, config_path
 from vio.errors import VioError
-from vio.overrides import assign, origin
 from vio.sim.camera import CalibrationError, CameraStream
 from vio.sim.flights import FlightConfig
 from vio.sim.imu import ImuModel

@@ -22,7 +22,7 @@ from tagvo.pipeline import Trace
 from tagvo.records import Frame, Observations
 from tagvo.tags.tag_map import TagMap
 from vio.arms import Output
-from vio.daemon_settings import ORIGINS
+from vio.config.daemon import ORIGINS
 from vio.errors import VioError
 from vio.health import Health
 from vio.sinks.origins import OriginProxy, hidden_host

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from tagvo.geometry import Array
+from vio.config.mavlink import ImuLinkConfig, MavlinkConfig
 from vio.errors import LinkError
 from vio.frames import ned_from_level
 from vio.health import Health
@@ -13,7 +14,6 @@ from vio.mavlink.dialect import MESSAGE_IDS, Codec
 from vio.mavlink.fields import SET_MESSAGE_INTERVAL, Outgoing, command
 from vio.mavlink.transport import Transport, open_transport
 from vio.mavlink.url import parse_url
-from vio.mavlink_settings import ImuLinkConfig, MavlinkConfig
 from vio.records import Moment
 from vio.sitl.estimate import Said, Sent
 

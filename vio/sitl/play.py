@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagvo.geometry import Array
+from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError, LogError
 from vio.evaluate.records import Trajectory
 from vio.evaluate.truth import clean_truth
 from vio.frames import ned_from_level
 from vio.health import Health
-from vio.mavlink_settings import MavlinkConfig
 from vio.records import Moment, Truth
 from vio.sitl.estimate import fc_trajectory
 from vio.sitl.link import SimLink

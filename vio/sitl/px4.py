@@ -13,10 +13,10 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array
+from vio.config.mavlink import OriginConfig
 from vio.errors import LinkError
 from vio.mavlink.dialect import Codec
 from vio.mavlink.fields import Outgoing
-from vio.mavlink_settings import OriginConfig
 from vio.sitl.records import SimState
 
 PORT = 4560

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from vio.daemon_settings import CameraConfig
+from vio.config.daemon import CameraConfig
 from vio.errors import CameraLost, SourceError
 from vio.sources.frames import read_image
 

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from simulated import arena
 
 from tagvo import geometry as geo
-from vio.assets import config_path
+from vio.config.shipped import config_path
 from vio.errors import SimulationError
 from vio.sim.checks import check_flight, extent
 from vio.sim.flights import FlightConfig, plan

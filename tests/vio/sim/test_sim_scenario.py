@@ -7,7 +7,7 @@ from pydantic import BaseModel
 
 from tagvo.errors import ConfigError
 from tagvo.textfile import read_yaml
-from vio.assets import config_names, config_path
+from vio.config.shipped import config_names, config_path
 from vio.errors import SimulationError
 from vio.sim.recording import flown_of, map_of, simulated
 from vio.sim.scenario import Scenario, load_scenario, scenario_path, scenario_yaml

@@ -9,10 +9,10 @@ from pydantic import BaseModel, field_validator
 from tagvo.config import TagvoConfig, validated
 from tagvo.errors import ConfigError
 from tagvo.textfile import read_yaml
-from vio.daemon_settings import DaemonConfig
-from vio.mavlink_settings import MavlinkConfig
-from vio.overrides import assign, origin
-from vio.settings import VioConfig
+from vio.config.daemon import DaemonConfig
+from vio.config.filter import VioConfig
+from vio.config.mavlink import MavlinkConfig
+from vio.config.overrides import assign, origin
 
 _IDENTITY = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 Row = tuple[float, float, float, float]
