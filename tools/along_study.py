@@ -31,10 +31,10 @@ from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from vio.arms import VoArm
 from vio.config.filter import VioConfig
-from vio.estimator import Estimator
 from vio.evaluate.metrics import capture_errors, now_errors, stats
 from vio.evaluate.records import Window, take
 from vio.evaluate.truth import clean_truth
+from vio.filter.eskf import Estimator
 from vio.filter_arm import VioArm
 from vio.records import ImuTrack
 from vio.run import run, trajectory

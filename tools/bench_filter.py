@@ -32,8 +32,8 @@ def median_us(work, repeat):
 
 
 def a_state(n):
-    from vio import layout as at
-    from vio.memory import no_memory
+    from vio.filter import state as at
+    from vio.filter.adaptive_noise import no_memory
 
     x = np.zeros(at.NOMINAL)
     x[[at.X_Q, at.X_QIC, at.X_QWG]] = 1.0
@@ -43,7 +43,7 @@ def a_state(n):
 
 def noise():
     from vio.config.filter import VioConfig
-    from vio.estimator import process_noise
+    from vio.filter.eskf import process_noise
     from vio.sim.inertial import PIXHAWK
 
     return process_noise(PIXHAWK, VioConfig())
@@ -52,7 +52,7 @@ def noise():
 def late_pose(i):
     """Stamp and row of a pose about 90 ms before the window's end, another one each time."""
     from tagvo.records import PoseMeasurement
-    from vio.pivot import pose_row
+    from vio.filter.measurements.pivot import pose_row
 
     t_ns = 910_000_000 + i
     return t_ns, pose_row(PoseMeasurement(t_ns, np.zeros(3), np.eye(3), 1e-3 * np.eye(6), (0,)))
@@ -60,8 +60,8 @@ def late_pose(i):
 
 def filled_window(n):
     """One second of IMU at 200 Hz."""
-    from vio import layout as at
-    from vio.window import Window
+    from vio.filter import state as at
+    from vio.filter.history import Window
 
     window = Window(n, 300, 5000, 2 + at.POSE_NUMBERS, noise(), PAR)
     window.start(0, *a_state(n))
@@ -71,9 +71,9 @@ def filled_window(n):
 
 
 def ours(n, repeat):
-    from vio import layout as at
-    from vio.eskf import correct_pose
-    from vio.imu import propagate
+    from vio.filter import state as at
+    from vio.filter.propagation import propagate
+    from vio.filter.update import correct_pose
 
     q, w, rates = noise(), np.zeros(3), np.array([0.0] * 5 + [9.81] + [1.0] * 6)
     z, y = late_pose(0)[1][2:], np.empty(6)

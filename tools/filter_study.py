@@ -24,7 +24,7 @@ from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import PoseMeasurement
 from vio.config.filter import PriorConfig, VioConfig
-from vio.estimator import Estimator
+from vio.filter.eskf import Estimator
 from vio.records import ImuSample
 from vio.sim.inertial import PIXHAWK, simulate_imu
 from vio.sim.poses import PoseNoise, PoseStream, simulate_poses, wrong_rig

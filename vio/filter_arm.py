@@ -10,8 +10,8 @@ from tagvo.geometry import Array
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, Observations, PoseMeasurement, PosePrior
 from vio.arms import Output, VoArm
-from vio.estimator import Estimator
-from vio.health import State
+from vio.filter.eskf import Estimator
+from vio.filter.health import State
 from vio.records import ImuSample, NavState
 
 

@@ -17,7 +17,7 @@ from tagvo.tags.families import FAMILIES
 from tagvo.tags.tag_map import TagMap, map_from_dict
 from tagvo.track import Tracker
 from vio.config.filter import VioConfig
-from vio.estimator import USUAL_NOISE, Estimator
+from vio.filter.eskf import USUAL_NOISE, Estimator
 from vio.records import ImuSample
 
 _SIDE_PX, _PITCH_PX = 40.0, 50.0

@@ -8,7 +8,7 @@ import yaml
 from tagvo import geometry as geo
 from tagvo.pipeline import TagVO
 from vio.config.filter import VioConfig
-from vio.estimator import USUAL_NOISE, Estimator
+from vio.filter.eskf import USUAL_NOISE, Estimator
 from vio.filter_arm import VioArm
 from vio.run import run
 from vio.setup_watch import SetupWatch

@@ -8,8 +8,8 @@ from fc_vehicle import turn
 from numpy import eye, zeros
 
 from vio.config.mavlink import MavlinkConfig
+from vio.filter.health import Health, Signs, State
 from vio.frames import FLIP
-from vio.health import Health, Signs, State
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec
 from vio.records import Moment, NavState

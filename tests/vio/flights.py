@@ -8,7 +8,7 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera
 from tagvo.records import PoseMeasurement
 from vio.config.filter import VioConfig
-from vio.estimator import Estimator
+from vio.filter.eskf import Estimator
 from vio.records import ImuSample
 from vio.sim.inertial import PIXHAWK, simulate_imu
 from vio.sim.poses import PoseNoise, simulate_poses

@@ -10,9 +10,9 @@ from tagvo import geometry as geo
 from tagvo.config import FloorConfig
 from tagvo.records import Observations
 from tagvo.tags.tag_map import map_from_dict
-from vio import layout as at
-from vio.corners import correct_corners, pack, tag_residual
-from vio.predicted import camera_jacobian
+from vio.filter import state as at
+from vio.filter.measurements.corners import correct_corners, pack, tag_residual
+from vio.filter.measurements.predicted import camera_jacobian
 
 F, CENTRE, SIGMA = 500.0, np.array([320.0, 240.0]), 0.4
 FLOOR = FloorConfig(focal_rel=0.002, principal_px=0.3)

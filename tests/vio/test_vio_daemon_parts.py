@@ -24,7 +24,7 @@ from vio.daemon.prepare import _names
 from vio.daemon.recorder import Recorder
 from vio.daemon.status import Rates, Status
 from vio.daemon.worker import Detection
-from vio.health import Health, State
+from vio.filter.health import Health, State
 from vio.mavlink.fields import Outgoing
 from vio.records import Ground, ImuSample, Moment, NavState
 from vio.sinks.log import LogWriter

@@ -13,8 +13,8 @@ from vio.config.mavlink import MavlinkConfig
 from vio.daemon.arm import FlightArm
 from vio.daemon.clock import FlightClock
 from vio.daemon.setup import SetupGuard
-from vio.estimator import Estimator
-from vio.health import State
+from vio.filter.eskf import Estimator
+from vio.filter.health import State
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec
 from vio.records import ImuSample

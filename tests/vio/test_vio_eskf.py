@@ -7,10 +7,15 @@ from test_vio_imu import a_state, minus, retract
 
 from tagvo import geometry as geo
 from tagvo.records import PoseMeasurement
-from vio import layout as at
-from vio.eskf import correct_clock, correct_pose, correct_rig, correct_still, inject
-from vio.pivot import pivot_of, pose_row
-from vio.predicted import camera_jacobian, camera_pose, pivot_rows, pose_residual
+from vio.filter import state as at
+from vio.filter.measurements.pivot import pivot_of, pose_row
+from vio.filter.measurements.predicted import (
+    camera_jacobian,
+    camera_pose,
+    pivot_rows,
+    pose_residual,
+)
+from vio.filter.update import correct_clock, correct_pose, correct_rig, correct_still, inject
 
 W = np.array([0.3, -0.4, 0.2])
 

@@ -8,16 +8,16 @@ from oracles.suspect_study import flight
 
 from tagvo import geometry as geo
 from tagvo.pipeline import TagVO
-from vio import layout as at
 from vio.config.filter import PriorConfig, VioConfig
-from vio.estimator import Estimator
+from vio.filter import state as at
+from vio.filter.eskf import Estimator
+from vio.filter.health import State
+from vio.filter.history import _mean_rate, _rate_span
 from vio.filter_arm import VioArm
 from vio.frames import level_frame
-from vio.health import State
 from vio.records import ImuSample
 from vio.sim.inertial import PIXHAWK
 from vio.sim.poses import PoseNoise, wrong_rig
-from vio.window import _mean_rate, _rate_span
 
 
 def run(whats, config=None, camera=CAMERA):
@@ -143,7 +143,7 @@ def test_a_true_calibration_is_confirmed_and_held():
 
 
 def test_inflation_follows_the_memory_of_the_errors():
-    from vio.memory import inflation
+    from vio.filter.adaptive_noise import inflation
 
     par = np.array([4.0, 1.0, 1.0, -1.0])
     slow = PoseNoise(white=(0.003, 0.1), slow=(0.02, 0.7), slow_s=0.3, outliers=0.0, dropouts=0)
@@ -155,7 +155,7 @@ def test_inflation_follows_the_memory_of_the_errors():
 
 def test_the_slow_share_is_learnt():
     """Errors that last 5 s are told from white ones; where they are told nothing, none is."""
-    from vio.memory import slow_share
+    from vio.filter.adaptive_noise import slow_share
 
     par = np.array([4.0, 1.0, 1.0, -1.0])
     white = replay(fly("T3", 8, PoseNoise(slow=(0.0, 0.0), outliers=0.0, dropouts=0)))

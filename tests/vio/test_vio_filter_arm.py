@@ -12,7 +12,7 @@ from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame, PosePrior
 from vio.config.filter import VioConfig
-from vio.estimator import Estimator
+from vio.filter.eskf import Estimator
 from vio.filter_arm import VioArm, VoKfArm
 from vio.records import ImuSample
 from vio.sim.inertial import PIXHAWK

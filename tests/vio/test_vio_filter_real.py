@@ -9,10 +9,10 @@ import pytest
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from vio.config.filter import VioConfig
-from vio.estimator import Estimator
 from vio.evaluate.metrics import now_errors, stats
 from vio.evaluate.records import Window
 from vio.evaluate.truth import clean_truth
+from vio.filter.eskf import Estimator
 from vio.filter_arm import VioArm
 from vio.run import run, trajectory
 from vio.sources.log import FlightLog

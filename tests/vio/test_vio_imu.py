@@ -9,8 +9,16 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
-from vio import layout as at
-from vio.imu import _relax_bias, add_noise, exp_quat, mechanise, propagate, spread, transition_into
+from vio.filter import state as at
+from vio.filter.propagation import (
+    _relax_bias,
+    add_noise,
+    exp_quat,
+    mechanise,
+    propagate,
+    spread,
+    transition_into,
+)
 
 Q = np.square([3e-4, 5e-3, 2e-5, 5e-4, 1e-5, 1e-5, 0.0, 0.0])
 Q[at.N_BIAS_RATE], Q[at.N_GRAVITY] = 0.2, 9.81

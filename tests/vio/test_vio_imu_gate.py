@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from flights import edit_imu, fly, replay, states_between
 
-from vio.imu_noise import NoiseMeter
-from vio.intake import ImuIntake
+from vio.filter.imu_noise import NoiseMeter
+from vio.filter.preprocessing import ImuIntake
 from vio.records import ImuSample
 from vio.sim.poses import PoseNoise
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from flights import fly
 
-from vio.imu_noise import NoiseMeter, noise_words
+from vio.filter.imu_noise import NoiseMeter, noise_words
 
 STATED = np.repeat([3e-4, 5e-3], 3)
 RATE = 200.0

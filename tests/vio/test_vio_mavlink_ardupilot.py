@@ -14,7 +14,7 @@ from fc_vehicle import Vehicle
 from fc_world import EPOCH, MS, S, World, health, moments
 from numpy import zeros
 
-from vio.health import State
+from vio.filter.health import State
 
 VISION = "VISION_POSITION_ESTIMATE"
 

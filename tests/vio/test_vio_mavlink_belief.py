@@ -9,7 +9,7 @@ from fc_world import MS, S, World, health, moments
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from vio.config.mavlink import BeliefConfig
-from vio.health import State
+from vio.filter.health import State
 from vio.mavlink.belief import Belief, BeliefCheck, SentPose
 
 CRITICAL, ACTIVE, TERMINATION = 5, 4, 8

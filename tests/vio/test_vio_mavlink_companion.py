@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 from scipy.spatial.transform import Rotation
 
 from vio.config.mavlink import MavlinkConfig
-from vio.health import State
+from vio.filter.health import State
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec
 from vio.mavlink.resets import ResetCounter

@@ -5,8 +5,8 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as m
 from scipy.spatial.transform import Rotation
 
+from vio.filter.health import Health, State
 from vio.frames import NedPose
-from vio.health import Health, State
 from vio.mavlink import fields
 from vio.mavlink.dialect import MESSAGE_IDS, Codec
 

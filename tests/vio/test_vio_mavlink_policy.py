@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vio.health import State
+from vio.filter.health import State
 from vio.mavlink.policy import Rules, SendPolicy, Verdict
 
 MS, S = 10**6, 10**9

@@ -6,7 +6,7 @@ from fc_world import EPOCH, MS, S, health
 from pymavlink.dialects.v20 import ardupilotmega as m
 
 from vio.config.mavlink import MavlinkConfig
-from vio.health import State
+from vio.filter.health import State
 from vio.mavlink import bridge as edge
 from vio.mavlink.belief import Belief
 from vio.mavlink.bridge import Bridge

@@ -6,12 +6,12 @@ from flights import CAMERA, CLEAN, events, feed, fly
 
 from tagvo import geometry as geo
 from tagvo.records import PoseMeasurement
-from vio import layout as at
 from vio.config.filter import VioConfig
-from vio.estimator import Estimator
-from vio.output import moment
+from vio.filter import state as at
+from vio.filter.eskf import Estimator
+from vio.filter.history import Window
+from vio.filter.outputs import moment
 from vio.sim.inertial import PIXHAWK
-from vio.window import Window
 
 
 def flown(seconds=6.0):
@@ -60,7 +60,7 @@ def test_between_two_samples_it_lies_between_them():
 
 def test_going_back_and_forth_is_the_same_way():
     """From the snapshot after a stamp back to it, against the one before on to it: same state."""
-    from vio.imu import propagate
+    from vio.filter.propagation import propagate
 
     _, estimator = flown()
     w = estimator._window

@@ -8,14 +8,14 @@ from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
 from tagvo.records import PoseMeasurement
-from vio import layout as at
 from vio.config.filter import RecoveryConfig, VioConfig
-from vio.gate import Relocation, relocate
-from vio.intake import Interval
-from vio.memory import no_memory, remember
-from vio.recovery import relocation
-from vio.start import Rig, begin
-from vio.window import Window
+from vio.filter import state as at
+from vio.filter.adaptive_noise import no_memory, remember
+from vio.filter.consensus import Relocation, relocate
+from vio.filter.history import Window
+from vio.filter.initialization import Rig, begin
+from vio.filter.preprocessing import Interval
+from vio.filter.relocalization import relocation
 
 MS = 1_000_000
 G = np.array([0.0, 0.0, 9.80665])

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from vio import layout as at
 from vio.config.filter import VioConfig
-from vio.rig import RigJudge
-from vio.start import prior_covariance
+from vio.filter import state as at
+from vio.filter.calibration_check import RigJudge
+from vio.filter.initialization import prior_covariance
 
 
 def verdicts(offset_s, sigma_s, turned_rad=0.0, sigma_rad=0.1, judge=None):

@@ -22,7 +22,7 @@ from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
 from vio.config.filter import VioConfig
-from vio.estimator import Estimator
+from vio.filter.eskf import Estimator
 from vio.sim.inertial import PIXHAWK
 from vio.sim.poses import PoseNoise
 from vio.sim.trajectory import circle

@@ -12,8 +12,8 @@ from tagvo.pipeline import TagVO
 from vio.config.filter import VioConfig
 from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError, LogError
-from vio.estimator import Estimator
 from vio.evaluate.compare import comparison
+from vio.filter.eskf import Estimator
 from vio.filter_arm import VioArm
 from vio.sim.inertial import PIXHAWK
 from vio.sitl.ardupilot import ArduPilotEnd

@@ -9,13 +9,13 @@ from simulated import arena
 
 from tagvo import geometry as geo
 from tagvo.tags.tag_map import Gravity
-from vio import layout as at
 from vio.config.filter import HealthConfig, PriorConfig, RecoveryConfig, VioConfig
-from vio.health import Health, Signs, State, judge
-from vio.recovery import LostWatch
+from vio.filter import state as at
+from vio.filter.health import Health, Signs, State, judge
+from vio.filter.initialization import CalibrationBounds, Rig, moves, trend
+from vio.filter.relocalization import LostWatch
 from vio.sim.poses import PoseNoise
 from vio.sim.trajectory import hover
-from vio.start import CalibrationBounds, Rig, moves, trend
 
 SHARP = PoseNoise(
     white=(0.002, 0.1), slow=(0.001, 0.05), outliers=0.0, dropouts=0, stamp_s=0.0, rate_hz=30.0

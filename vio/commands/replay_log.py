@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tagvo.pipeline import TagVO
-from vio import estimator as flt
 from vio.arms import Estimator, VoArm, VoFirArm
 from vio.commands.options import Choice, open_all, progress, waiting
 from vio.config import Config
 from vio.errors import EvaluationError, LogError
+from vio.filter import eskf as flt
 from vio.filter_arm import VioArm, VoKfArm
 from vio.imucheck import check_imu, check_stamps
 from vio.interrupt import gently

@@ -35,7 +35,7 @@ def replay_into_sitl(
     import numpy as np
 
     from tagvo.pipeline import TagVO
-    from vio import estimator as flt
+    from vio.filter import eskf as flt
     from vio.filter_arm import VioArm
     from vio.interrupt import gently
     from vio.run import trajectory, tum_rows

@@ -8,9 +8,9 @@ from tagvo.pipeline import TagVO
 from tagvo.records import Frame, Observations, PoseMeasurement, PosePrior
 from vio.arms import Output
 from vio.daemon.clock import FlightClock
-from vio.estimator import Estimator
+from vio.filter.eskf import Estimator
+from vio.filter.health import Health
 from vio.filter_arm import VioArm
-from vio.health import Health
 from vio.records import ImuSample, Moment
 
 _COUNT_EVERY = 100  # samples between two looks at the filter's counters

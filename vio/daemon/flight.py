@@ -10,7 +10,6 @@ from typing import Any
 
 from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Frame, PosePrior
-from vio import estimator as flt
 from vio.arms import VoArm
 from vio.daemon.arm import FlightArm
 from vio.daemon.clock import FlightClock
@@ -21,6 +20,7 @@ from vio.daemon.recorder import Recorder
 from vio.daemon.setup import SetupGuard
 from vio.daemon.status import Rates, Status, cpu_by_thread
 from vio.daemon.worker import Detection
+from vio.filter import eskf as flt
 from vio.mavlink.bridge import Bridge
 from vio.mavlink.latency import Ages
 from vio.run import RunResult, Sink, run

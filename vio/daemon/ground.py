@@ -8,9 +8,9 @@ from collections import deque
 import numpy as np
 
 from vio.config.filter import VioConfig
-from vio.intake import Interval
+from vio.filter.initialization import is_still
+from vio.filter.preprocessing import Interval
 from vio.records import ImuSample
-from vio.start import is_still
 
 _WINDOW_NS, _EVERY_NS = 1_000_000_000, 200_000_000
 _NO_SCALE = np.ones(6)

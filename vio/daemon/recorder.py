@@ -20,7 +20,7 @@ from tagvo import geometry as geo
 from tagvo.records import Frame
 from vio.arms import Output
 from vio.config.daemon import RecordConfig
-from vio.health import Health
+from vio.filter.health import Health
 from vio.mavlink.fields import Outgoing
 from vio.records import Ground, ImuSample
 from vio.sinks.log import LogWriter

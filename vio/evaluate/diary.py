@@ -7,10 +7,10 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array, IntArray
-from vio import layout as at
+from vio.filter import state as at
 
 if TYPE_CHECKING:
-    from vio.estimator import Estimator
+    from vio.filter.eskf import Estimator
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from tagvo.geometry import Array
 from vio.config.filter import HealthConfig
 from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError
-from vio.health import Health
+from vio.filter.health import Health
 from vio.mavlink.binding import Binding, Claim
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec, read_key

@@ -14,8 +14,8 @@ from tagvo.geometry import Array
 from vio.clock import Asker, ClockTrack, learn, to_ours
 from vio.config.filter import HealthConfig
 from vio.config.mavlink import MavlinkConfig
+from vio.filter.health import Health
 from vio.frames import Alignment, NedPose, largest_sigmas, to_ned
-from vio.health import Health
 from vio.mavlink import fields
 from vio.mavlink.belief import BeliefCheck, sent_pose
 from vio.mavlink.fields import Outgoing

@@ -7,8 +7,8 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array
+from vio.filter.health import Health, State
 from vio.frames import NedPose, body_velocity, euler_321, triangle
-from vio.health import Health, State
 
 LOCAL_NED, BODY_FRD, LOCAL_FRD = 1, 12, 20  # MAV_FRAME
 ARDUPILOT, PX4, NO_AUTOPILOT = 3, 12, 8  # MAV_AUTOPILOT

@@ -4,7 +4,7 @@ from collections import Counter
 from dataclasses import dataclass
 from enum import StrEnum
 
-from vio.health import State
+from vio.filter.health import State
 
 
 class Verdict(StrEnum):

@@ -1,7 +1,7 @@
 """The reset counter: the autopilot's only way to know that the pose has jumped, not the vehicle."""
 
+from vio.filter.health import State
 from vio.frames import ON_GROUND_RAD, RELEVEL_RAD, Levelling, levelled, relevelled
-from vio.health import State
 from vio.records import Moment
 
 _APART_NS = 5_000_000_000  # between two moves on the ground: each resets the autopilot's filter

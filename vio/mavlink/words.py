@@ -1,6 +1,6 @@
 """What the ground station reads: changes of state in plain words, no more than one a second."""
 
-from vio.health import Health, State
+from vio.filter.health import Health, State
 from vio.mavlink.fields import INFO, WARNING, Outgoing, statustext
 from vio.setup_findings import SHORT
 

@@ -11,12 +11,12 @@ from tagvo.records import Frame
 from vio.arms import Estimator, VoArm, VoFirArm
 from vio.config import Config, load_config
 from vio.config.shipped import config_path
-from vio.estimator import USUAL_NOISE
-from vio.estimator import Estimator as Filter
 from vio.evaluate.compare import VIEWS
 from vio.evaluate.metrics import capture_errors, now_errors
 from vio.evaluate.records import Trajectory, Window
 from vio.evaluate.truth import TruthTrack, clean_truth
+from vio.filter.eskf import USUAL_NOISE
+from vio.filter.eskf import Estimator as Filter
 from vio.filter_arm import VioArm
 from vio.records import Ground, ImuSample, Phase
 from vio.reproduce.plan import WHOLE

@@ -24,7 +24,7 @@ from tagvo.tags.tag_map import TagMap
 from vio.arms import Output
 from vio.config.daemon import ORIGINS
 from vio.errors import VioError
-from vio.health import Health
+from vio.filter.health import Health
 from vio.sinks.origins import OriginProxy, hidden_host
 
 LOG = logging.getLogger("vio.sinks.live")
@@ -171,7 +171,7 @@ class LiveView:
             out["nis_per_dof"] = self._arm.estimator.nis
             state = self._arm.estimator.state()
             if state is not None:
-                from vio import layout as at
+                from vio.filter import state as at
 
                 for k, axis in enumerate("xyz"):
                     out[f"gyro_bias_{axis}_rad_s"] = float(state[at.X_BG + k])

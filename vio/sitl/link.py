@@ -7,8 +7,8 @@ import numpy as np
 from tagvo.geometry import Array
 from vio.config.mavlink import ImuLinkConfig, MavlinkConfig
 from vio.errors import LinkError
+from vio.filter.health import Health
 from vio.frames import ned_from_level
-from vio.health import Health
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec
 from vio.mavlink.fields import SET_MESSAGE_INTERVAL, Outgoing, command

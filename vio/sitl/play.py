@@ -12,8 +12,8 @@ from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError, LogError
 from vio.evaluate.records import Trajectory
 from vio.evaluate.truth import clean_truth
+from vio.filter.health import Health
 from vio.frames import ned_from_level
-from vio.health import Health
 from vio.records import Moment, Truth
 from vio.sitl.estimate import fc_trajectory
 from vio.sitl.link import SimLink

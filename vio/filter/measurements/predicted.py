@@ -10,8 +10,8 @@ import numpy as np
 
 from tagvo.geometry import Array
 from tagvo.kernels.jit import bare, njit
-from vio import layout as at
-from vio.imu import matrix_into, turn_quat
+from vio.filter import state as at
+from vio.filter.propagation import matrix_into, turn_quat
 
 
 @njit

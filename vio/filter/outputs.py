@@ -5,11 +5,11 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.geometry import Array
 from tagvo.records import PosePrior
-from vio import layout as at
-from vio.imu import propagate
-from vio.predicted import camera_jacobian, camera_pose
+from vio.filter import state as at
+from vio.filter.history import Window
+from vio.filter.measurements.predicted import camera_jacobian, camera_pose
+from vio.filter.propagation import propagate
 from vio.records import Moment, NavState
-from vio.window import Window
 
 _ORDER = np.r_[at.P : at.P + 3, at.TH : at.TH + 3, at.V : at.V + 3]
 _PICK = np.ix_(_ORDER, _ORDER)

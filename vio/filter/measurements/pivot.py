@@ -12,7 +12,7 @@ import numpy as np
 from tagvo.geometry import Array
 from tagvo.kernels.jit import backward, cholesky, forward, multiply, njit, quaternion
 from tagvo.records import PoseMeasurement
-from vio import layout as at
+from vio.filter import state as at
 
 
 def pivot_of(R_WC: Array, cov: Array) -> Array:

@@ -10,9 +10,9 @@ import numpy as np
 
 from tagvo.geometry import Array
 from tagvo.kernels.jit import bare, njit
-from vio import layout as at
-from vio.imu import exp_quat, turn_quat
-from vio.predicted import camera_jacobian, pivot_rows, pose_residual
+from vio.filter import state as at
+from vio.filter.measurements.predicted import camera_jacobian, pivot_rows, pose_residual
+from vio.filter.propagation import exp_quat, turn_quat
 
 GATE_6, GATE_3, GATE_8 = 22.457744, 16.266236, 26.124482  # chi-square 99.9 % of 6, 3 and 8 dof
 

@@ -10,9 +10,9 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array
-from vio import layout as at
 from vio.config.filter import RecoveryConfig
-from vio.memory import no_memory
+from vio.filter import state as at
+from vio.filter.adaptive_noise import no_memory
 
 
 @dataclass(frozen=True, slots=True, eq=False)

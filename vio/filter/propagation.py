@@ -12,7 +12,7 @@ import numpy as np
 
 from tagvo.geometry import Array
 from tagvo.kernels.jit import KERNELS, bare, drop_stale_code, njit
-from vio import layout as at
+from vio.filter import state as at
 
 drop_stale_code([KERNELS, Path(__file__).parent])  # its kernels call those of tagvo
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from tagvo.geometry import Array, IntArray
 from tagvo.kernels.jit import bare, njit
-from vio import layout as at
-from vio.corners import correct_corners
-from vio.eskf import correct_clock, correct_pose, correct_rig, correct_still
-from vio.imu import propagate
-from vio.memory import inflation, remember, slow_share
+from vio.filter import state as at
+from vio.filter.adaptive_noise import inflation, remember, slow_share
+from vio.filter.measurements.corners import correct_corners
+from vio.filter.propagation import propagate
+from vio.filter.update import correct_clock, correct_pose, correct_rig, correct_still
 
 _FAR = np.iinfo(np.int64).max
 _RATE_NS = (15_000_000, 100_000_000)

@@ -10,8 +10,8 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array
-from vio import layout as at
 from vio.config.filter import RigConfig, VioConfig
+from vio.filter import state as at
 
 _CONVINCED = 2.0  # log odds for the file's value from which it is believed
 _CONTRADICTION = (36.0, 25.0)  # chi-square beyond doubt: 1 dof and 3 dof, 1e-5 and less

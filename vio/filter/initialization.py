@@ -12,11 +12,11 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import PoseMeasurement
-from vio import layout as at
 from vio.config.filter import PriorConfig, VioConfig
+from vio.filter import state as at
+from vio.filter.adaptive_noise import no_memory
+from vio.filter.preprocessing import Interval
 from vio.frames import level_frame
-from vio.intake import Interval
-from vio.memory import no_memory
 
 _AGREE_RAD = np.radians(12.0)  # first poses whose attitudes differ more from the gyro's disagree
 _AGREE_M = 0.25

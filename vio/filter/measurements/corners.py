@@ -12,8 +12,9 @@ from tagvo.geometry import Array
 from tagvo.kernels.jit import njit
 from tagvo.records import Observations
 from tagvo.tags.tag_map import TagMap
-from vio import layout as at
-from vio.eskf import (
+from vio.filter import state as at
+from vio.filter.measurements.predicted import camera_jacobian, camera_pose
+from vio.filter.update import (
     GATE_8,
     cholesky,
     downdate,
@@ -22,7 +23,6 @@ from vio.eskf import (
     times_ht,
     times_p,
 )
-from vio.predicted import camera_jacobian, camera_pose
 
 # one tag: x_n (4, 2) | noise of each corner xx, xy, yy (4, 3) | p_WX (4, 3) | T's axes in W times
 # the laying sigmas: of the place (3, 3),

@@ -7,11 +7,11 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.geometry import Array
 from tagvo.records import PoseMeasurement
-from vio import layout as at
 from vio.config.filter import RecoveryConfig
-from vio.gate import Rejected, agreement, relocate
-from vio.health import Health, State
-from vio.window import Window
+from vio.filter import state as at
+from vio.filter.consensus import Rejected, agreement, relocate
+from vio.filter.health import Health, State
+from vio.filter.history import Window
 
 _POSES_STOP_NS = 1_000_000_000  # poses further apart do not keep arriving
 

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from tagvo.geometry import Array, BoolArray, IntArray
-from vio.imu_gate import NOTHING_HELD, Gated, SampleGate
-from vio.imu_noise import NoiseMeter
+from vio.filter.imu_gate import NOTHING_HELD, Gated, SampleGate
+from vio.filter.imu_noise import NoiseMeter
 from vio.records import ImuSample
 
 GAP_NS = 20_000_000  # a longer step is cut into sub-steps of the mean

@@ -14,7 +14,7 @@ import numpy as np
 
 from tagvo.geometry import Array
 from tagvo.kernels.jit import bare, njit
-from vio import layout as at
+from vio.filter import state as at
 
 _FORGET = 1.0 - 1.0 / 300.0  # per measurement
 _PRIOR_WEIGHT = 6.0 * 50.0  # as much as 50 measurements know

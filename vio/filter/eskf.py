@@ -11,19 +11,19 @@ from tagvo.config import FloorConfig
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import Observations, PoseMeasurement, PosePrior
 from tagvo.tags.tag_map import TagMap
-from vio import layout as at
 from vio.config.filter import VioConfig
-from vio.corners import pack
-from vio.health import Health, Signs, judge
-from vio.imu_noise import NoiseMeter, noise_words
-from vio.intake import DEGRADED_NS, ImuIntake, Interval
-from vio.output import camera_prior, moment, nav_state
-from vio.pivot import pose_row
+from vio.filter import state as at
+from vio.filter.calibration_check import RigJudge
+from vio.filter.health import Health, Signs, judge
+from vio.filter.history import Window
+from vio.filter.imu_noise import NoiseMeter, noise_words
+from vio.filter.initialization import CalibrationBounds, Rig, begin, dimension, is_still, moves
+from vio.filter.measurements.corners import pack
+from vio.filter.measurements.pivot import pose_row
+from vio.filter.outputs import camera_prior, moment, nav_state
+from vio.filter.preprocessing import DEGRADED_NS, ImuIntake, Interval
+from vio.filter.relocalization import LostWatch, relocation
 from vio.records import ImuNoise, ImuSample, Moment, NavState
-from vio.recovery import LostWatch, relocation
-from vio.rig import RigJudge
-from vio.start import CalibrationBounds, Rig, begin, dimension, is_still, moves
-from vio.window import Window
 
 _JUDGE_NS = 200_000_000  # how often the calibration is judged
 _SLOTS = 256  # measurements that the window remembers

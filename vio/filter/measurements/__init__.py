@@ -1,0 +1,1 @@
+"""One file a measurement of the filter: what it predicts, and its Jacobian."""
