@@ -29,15 +29,16 @@ from clock_study import play
 
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
-from vio.arms import VoArm
 from vio.config.filter import VioConfig
 from vio.evaluate.metrics import capture_errors, now_errors, stats
 from vio.evaluate.records import Window, take
 from vio.evaluate.truth import clean_truth
 from vio.filter.eskf import Estimator
-from vio.filter_arm import VioArm
+from vio.localize.baselines import VoArm
+from vio.localize.fused import VioArm
+from vio.localize.run import run, trajectory
+from vio.localize.stopwatch import Stopwatch
 from vio.records import ImuTrack
-from vio.run import run, trajectory
 from vio.sim.along import followed
 from vio.sim.pictures import frames
 from vio.sim.record import write_log
@@ -46,7 +47,6 @@ from vio.sources.companion import read_imu_of
 from vio.sources.log import FlightLog
 from vio.sources.logfiles import read_imu_noise, read_phases, read_truth
 from vio.sources.tally import Tally
-from vio.stopwatch import Stopwatch
 
 CUT_HZ = 20.0
 PHASES = ("hover", "T1", "T2", "T3", "T3fast")

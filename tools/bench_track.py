@@ -37,7 +37,7 @@ from tagvo.records import Frame
 from tagvo.render.view import Look, displaced, render_view
 from vio.config.filter import VioConfig
 from vio.filter.eskf import Estimator
-from vio.filter_arm import VioArm
+from vio.localize.fused import VioArm
 from vio.sim.inertial import PIXHAWK, simulate_imu
 from vio.sim.trajectory import FLIGHTS
 

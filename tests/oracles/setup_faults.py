@@ -9,11 +9,11 @@ from tagvo import geometry as geo
 from tagvo.pipeline import TagVO
 from vio.config.filter import VioConfig
 from vio.filter.eskf import USUAL_NOISE, Estimator
-from vio.filter_arm import VioArm
-from vio.run import run
+from vio.localize.fused import VioArm
+from vio.localize.run import run
+from vio.localize.stopwatch import Stopwatch
 from vio.setup_watch import SetupWatch
 from vio.sources.log import FlightLog
-from vio.stopwatch import Stopwatch
 
 
 def edit_imu(log, change):

@@ -9,7 +9,7 @@ from simulated import pinhole
 
 from tagvo import geometry as geo
 from tagvo.records import Frame, PoseMeasurement
-from vio.arms import VoArm, VoFirArm, body_output
+from vio.localize.baselines import VoArm, VoFirArm, body_output
 
 R_CI, P_CI = geo.exp(np.array([0.3, -0.7, 1.9])), np.array([0.2, -0.1, 0.05])
 CAMERA = pinhole(R_CI=R_CI, p_CI=P_CI, timeshift_s=-0.0123)

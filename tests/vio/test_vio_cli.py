@@ -18,8 +18,8 @@ from cli_calls import STEP, T0, TIMESHIFT_S, tagvio, write_true_log
 from flying_log import write_flying_log
 from small_log import FRAME_STAMPS, IMU_STAMPS, write_log
 
+from vio.localize.warmup import warm_up
 from vio.sinks.tum import read_tum
-from vio.warmup import warm_up
 
 STATS = {
     "position_rmse_m", "position_mean_m", "position_median_m", "position_std_m", "position_p95_m",

@@ -44,7 +44,7 @@ def test_the_compiler_still_compiles_after_its_pages_were_given_back():
     code = """
 import numba
 from vio.daemon.pages import give_back
-from vio.stopwatch import resident_mb
+from vio.localize.stopwatch import resident_mb
 twice = numba.njit(lambda x: 2 * x)
 assert twice(2) == 4
 before = resident_mb()

@@ -13,7 +13,6 @@ from simulated import grid_map, pinhole
 
 from tagvo.detect.protocol import no_detections
 from tagvo.records import Detections, Frame
-from vio.arms import Output
 from vio.config.daemon import RecordConfig
 from vio.config.filter import VioConfig
 from vio.daemon.clock import FlightClock
@@ -25,6 +24,7 @@ from vio.daemon.recorder import Recorder
 from vio.daemon.status import Rates, Status
 from vio.daemon.worker import Detection
 from vio.filter.health import Health, State
+from vio.localize.baselines import Output
 from vio.mavlink.fields import Outgoing
 from vio.records import Ground, ImuSample, Moment, NavState
 from vio.sinks.log import LogWriter

@@ -13,8 +13,8 @@ from vio.filter import state as at
 from vio.filter.eskf import Estimator
 from vio.filter.health import State
 from vio.filter.history import _mean_rate, _rate_span
-from vio.filter_arm import VioArm
 from vio.frames import level_frame
+from vio.localize.fused import VioArm
 from vio.records import ImuSample
 from vio.sim.inertial import PIXHAWK
 from vio.sim.poses import PoseNoise, wrong_rig

@@ -13,7 +13,7 @@ from tagvo.pipeline import TagVO
 from tagvo.records import Frame, PosePrior
 from vio.config.filter import VioConfig
 from vio.filter.eskf import Estimator
-from vio.filter_arm import VioArm, VoKfArm
+from vio.localize.fused import VioArm, VoKfArm
 from vio.records import ImuSample
 from vio.sim.inertial import PIXHAWK
 from vio.sim.poses import PoseNoise

@@ -13,10 +13,10 @@ from vio.evaluate.metrics import now_errors, stats
 from vio.evaluate.records import Window
 from vio.evaluate.truth import clean_truth
 from vio.filter.eskf import Estimator
-from vio.filter_arm import VioArm
-from vio.run import run, trajectory
+from vio.localize.fused import VioArm
+from vio.localize.run import run, trajectory
+from vio.localize.stopwatch import Stopwatch
 from vio.sources.log import FlightLog
-from vio.stopwatch import Stopwatch
 
 DATA = os.environ.get("TAGVIO_DATA")
 pytestmark = pytest.mark.skipif(DATA is None, reason="TAGVIO_DATA is not set")

@@ -15,8 +15,8 @@ from simulated import grid_map, pinhole
 
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
-from vio.arms import Output
 from vio.errors import VioError
+from vio.localize.baselines import Output
 from vio.sinks.live_messages import expected
 
 pytest.importorskip("foxglove")

@@ -15,11 +15,11 @@ from simulated import DOWN, grid_map, pinhole, shot
 from tagvo import geometry as geo
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
-from vio.arms import Output, VoArm
+from vio.localize.baselines import Output, VoArm
+from vio.localize.run import run, trajectory, tum_rows
+from vio.localize.stopwatch import Stopwatch
+from vio.localize.warmup import warm_up
 from vio.records import ImuSample
-from vio.run import run, trajectory, tum_rows
-from vio.stopwatch import Stopwatch
-from vio.warmup import warm_up
 
 EMPTY = Detections.of(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)))
 

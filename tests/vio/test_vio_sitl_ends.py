@@ -14,7 +14,7 @@ from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError, LogError
 from vio.evaluate.compare import comparison
 from vio.filter.eskf import Estimator
-from vio.filter_arm import VioArm
+from vio.localize.fused import VioArm
 from vio.sim.inertial import PIXHAWK
 from vio.sitl.ardupilot import ArduPilotEnd
 from vio.sitl.play import play

@@ -74,7 +74,7 @@ def _run(
     """Measure every case and print its table as soon as it is done."""
     from vio.commands import bench_measure as bench
     from vio.commands.bench_scenes import floor_and_camera
-    from vio.warmup import warm_tracker
+    from vio.localize.warmup import warm_tracker
 
     with opt.waiting("loading compiled code (the first run compiles it, up to two minutes)"):
         warm_tracker(*floor_and_camera("640x480"))

@@ -18,7 +18,7 @@ from tagvo.records import Detections, Frame
 from tagvo.tags.tag_map import TagMap
 from tagvo.track import Tracker
 from vio.commands.bench_scenes import View
-from vio.stopwatch import clocks_ns, resident_mb
+from vio.localize.stopwatch import clocks_ns, resident_mb
 
 REFERENCE = "apriltag-python, decimate 2"
 BINS = (8, 12, 16, 20, 40)  # [px] lower ends of the classes of shortest side

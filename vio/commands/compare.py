@@ -82,7 +82,7 @@ def judge(
     from vio.evaluate.pngs import write_pngs
     from vio.evaluate.report import write_report
     from vio.evaluate.truth import clean_truth
-    from vio.run import trajectory, tum_rows
+    from vio.localize.run import trajectory, tum_rows
     from vio.sinks.tum import write_tum
 
     log, result = done.log, done.result

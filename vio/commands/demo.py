@@ -11,8 +11,8 @@ from vio.interrupt import gently
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from vio.arms import Estimator
     from vio.config import Config
+    from vio.localize.baselines import Estimator
     from vio.sources.log import FlightLog
 
 _WORKERS = 2
@@ -57,7 +57,7 @@ def command(
 
 
 def _vo_arm(log: "FlightLog", config: "Config") -> "list[Estimator]":
-    from vio.arms import VoArm
+    from vio.localize.baselines import VoArm
 
     return [VoArm(log.camera)]
 

@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tagvo.pipeline import TagVO
-from vio.arms import Estimator, VoArm, VoFirArm
 from vio.commands.options import Choice, open_all, progress, waiting
 from vio.config import Config
 from vio.errors import EvaluationError, LogError
 from vio.filter import eskf as flt
-from vio.filter_arm import VioArm, VoKfArm
 from vio.imucheck import check_imu, check_stamps
 from vio.interrupt import gently
-from vio.run import RunResult, Sink, run
+from vio.localize.baselines import Estimator, VoArm, VoFirArm
+from vio.localize.fused import VioArm, VoKfArm
+from vio.localize.run import RunResult, Sink, run
+from vio.localize.stopwatch import Stopwatch
+from vio.localize.warmup import warm_all
 from vio.setup_watch import SetupWatch
 from vio.sources.log import FlightLog
 from vio.sources.tally import Tally
-from vio.stopwatch import Stopwatch
 from vio.unmapped import other_family
-from vio.warmup import warm_all
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -90,7 +90,7 @@ def _warm() -> None:
     from tagvo.tags.tag_map import load_map
     from vio.commands.warmup import warm_flight
     from vio.config.shipped import config_path
-    from vio.warmup import warm_renderer
+    from vio.localize.warmup import warm_renderer
 
     with opt.waiting("loading compiled code (the first run compiles it, some minutes)"):
         warm_flight()

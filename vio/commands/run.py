@@ -41,7 +41,7 @@ def command(
     """
     from vio.commands.replay_log import replay_log, run_summary, vo_arms
     from vio.evaluate.compare import write_json
-    from vio.run import trajectory, tum_rows
+    from vio.localize.run import trajectory, tum_rows
     from vio.sinks.tum import write_tum
 
     choice = opt.Choice(

@@ -36,13 +36,13 @@ def replay_into_sitl(
 
     from tagvo.pipeline import TagVO
     from vio.filter import eskf as flt
-    from vio.filter_arm import VioArm
     from vio.interrupt import gently
-    from vio.run import trajectory, tum_rows
+    from vio.localize.fused import VioArm
+    from vio.localize.run import trajectory, tum_rows
+    from vio.localize.warmup import warm_up
     from vio.sinks.tum import write_tum
     from vio.sitl.play import play
     from vio.sitl.vision import LogVision
-    from vio.warmup import warm_up
 
     assigned = (*choice.assignments, f"mavlink.url={url}", f"mavlink.autopilot={autopilot}")
     log, config = opt.open_all(_with(choice, assigned))

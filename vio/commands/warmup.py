@@ -16,7 +16,7 @@ def command() -> None:
         from concurrent.futures import ProcessPoolExecutor
         from multiprocessing import get_context
 
-        from vio.stopwatch import Stopwatch
+        from vio.localize.stopwatch import Stopwatch
 
         watch = Stopwatch()
         watch.start()
@@ -33,7 +33,7 @@ def warm_flight() -> None:
     from tagvo.camera.calibration import load_camera
     from vio.config import Config
     from vio.config.shipped import config_path
-    from vio.warmup import warm_up
+    from vio.localize.warmup import warm_up
 
     config, camera = Config(), load_camera(config_path("cameras/arena.yaml"))
     for pose in ("fused", "joint"):
@@ -45,7 +45,7 @@ def warm_pictures() -> None:
     from tagvo.camera.calibration import load_camera
     from tagvo.tags.tag_map import load_map
     from vio.config.shipped import config_path
-    from vio.warmup import warm_renderer, warm_tracker
+    from vio.localize.warmup import warm_renderer, warm_tracker
 
     camera = load_camera(config_path("cameras/arena.yaml"))
     floor = load_map(config_path("maps/arena.yaml"))

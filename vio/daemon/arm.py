@@ -6,11 +6,11 @@ from typing import Protocol
 
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame, Observations, PoseMeasurement, PosePrior
-from vio.arms import Output
 from vio.daemon.clock import FlightClock
 from vio.filter.eskf import Estimator
 from vio.filter.health import Health
-from vio.filter_arm import VioArm
+from vio.localize.baselines import Output
+from vio.localize.fused import VioArm
 from vio.records import ImuSample, Moment
 
 _COUNT_EVERY = 100  # samples between two looks at the filter's counters

@@ -10,7 +10,6 @@ from typing import Any
 
 from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Frame, PosePrior
-from vio.arms import VoArm
 from vio.daemon.arm import FlightArm
 from vio.daemon.clock import FlightClock
 from vio.daemon.meter import Meter
@@ -21,14 +20,15 @@ from vio.daemon.setup import SetupGuard
 from vio.daemon.status import Rates, Status, cpu_by_thread
 from vio.daemon.worker import Detection
 from vio.filter import eskf as flt
+from vio.localize.baselines import VoArm
+from vio.localize.run import RunResult, Sink, run
+from vio.localize.stopwatch import Stopwatch
 from vio.mavlink.bridge import Bridge
 from vio.mavlink.latency import Ages
-from vio.run import RunResult, Sink, run
 from vio.setup_watch import SetupWatch
 from vio.sinks.live_view import LiveView
 from vio.sources.live_camera import Latest
 from vio.sources.live_events import LiveEvents
-from vio.stopwatch import Stopwatch
 
 LOG = logging.getLogger("vio.daemon")
 _KEEP = 900

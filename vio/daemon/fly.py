@@ -31,16 +31,16 @@ from vio.daemon.prepare import (
 )
 from vio.daemon.recorder import Recorder
 from vio.errors import LinkError, LogError, VioError
+from vio.localize.run import RunResult
+from vio.localize.warmup import warm_all
 from vio.mavlink.bridge import Bridge
 from vio.records import Ground, ImuSample
-from vio.run import RunResult
 from vio.sinks.live_view import LiveView
 from vio.sources.live_camera import LiveCamera
 from vio.sources.live_grab import Grabber, open_camera
 from vio.sources.live_imu import MavlinkImu
 from vio.sources.log import FlightLog
 from vio.unmapped import UnmappedTags, other_family
-from vio.warmup import warm_all
 
 LOG = logging.getLogger("vio.daemon")
 _LOOK_S = 0.25

@@ -18,9 +18,9 @@ from typing import Any
 
 from tagvo import geometry as geo
 from tagvo.records import Frame
-from vio.arms import Output
 from vio.config.daemon import RecordConfig
 from vio.filter.health import Health
+from vio.localize.baselines import Output
 from vio.mavlink.fields import Outgoing
 from vio.records import Ground, ImuSample
 from vio.sinks.log import LogWriter

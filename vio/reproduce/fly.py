@@ -8,7 +8,6 @@ import numpy as np
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
-from vio.arms import Estimator, VoArm, VoFirArm
 from vio.config import Config, load_config
 from vio.config.shipped import config_path
 from vio.evaluate.compare import VIEWS
@@ -17,15 +16,16 @@ from vio.evaluate.records import Trajectory, Window
 from vio.evaluate.truth import TruthTrack, clean_truth
 from vio.filter.eskf import USUAL_NOISE
 from vio.filter.eskf import Estimator as Filter
-from vio.filter_arm import VioArm
+from vio.localize.baselines import Estimator, VoArm, VoFirArm
+from vio.localize.fused import VioArm
+from vio.localize.run import run, trajectory
+from vio.localize.stopwatch import Stopwatch
 from vio.records import Ground, ImuSample, Phase
 from vio.reproduce.plan import WHOLE
 from vio.reproduce.records import Judge, Score, Task, pooled, scored
-from vio.run import run, trajectory
 from vio.sim.pictures import frames
 from vio.sim.recording import Recording, simulated
 from vio.sim.scenario import Scenario, load_scenario
-from vio.stopwatch import Stopwatch
 
 _OURS = {"NEW": "NEW", "NEW+FIR": "NEW", "JBT in the filter": "JBT"}  # whose configuration
 _ON_THE_GROUND = {"still", "takeoff", "land"}

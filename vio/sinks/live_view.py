@@ -21,10 +21,10 @@ from tagvo.geometry import Array, BoolArray
 from tagvo.pipeline import Trace
 from tagvo.records import Frame, Observations
 from tagvo.tags.tag_map import TagMap
-from vio.arms import Output
 from vio.config.daemon import ORIGINS
 from vio.errors import VioError
 from vio.filter.health import Health
+from vio.localize.baselines import Output
 from vio.sinks.origins import OriginProxy, hidden_host
 
 LOG = logging.getLogger("vio.sinks.live")

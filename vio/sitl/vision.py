@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
-from vio.arms import Output
-from vio.filter_arm import VioArm
+from vio.localize.baselines import Output
+from vio.localize.fused import VioArm
 from vio.records import Ground, ImuSample
 from vio.sitl.play import Offer
 from vio.sources.log import FlightLog

@@ -10,10 +10,10 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Frame, PosePrior
-from vio.arms import Estimator, Output
 from vio.evaluate.records import Trajectory
+from vio.localize.baselines import Estimator, Output
+from vio.localize.stopwatch import Stopwatch
 from vio.records import Ground, ImuSample
-from vio.stopwatch import Stopwatch
 from vio.unmapped import UnmappedTags
 
 Event = ImuSample | Frame | Ground

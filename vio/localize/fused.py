@@ -9,9 +9,9 @@ from tagvo.camera.model import Camera
 from tagvo.geometry import Array
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, Observations, PoseMeasurement, PosePrior
-from vio.arms import Output, VoArm
 from vio.filter.eskf import Estimator
 from vio.filter.health import State
+from vio.localize.baselines import Output, VoArm
 from vio.records import ImuSample, NavState
 
 
