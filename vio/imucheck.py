@@ -5,7 +5,7 @@ import numpy as np
 from tagvo.geometry import IntArray
 from vio.errors import LogError
 from vio.records import ImuTrack
-from vio.setup_findings import Finding
+from vio.setup_check.findings import Finding
 
 _GRAVITY = 9.81
 _TOLERANCE = 0.05

@@ -12,7 +12,7 @@ from vio.filter.eskf import USUAL_NOISE, Estimator
 from vio.localize.fused import VioArm
 from vio.localize.run import run
 from vio.localize.stopwatch import Stopwatch
-from vio.setup_watch import SetupWatch
+from vio.setup_check.watch import SetupWatch
 from vio.sources.log import FlightLog
 
 

@@ -18,7 +18,7 @@ from vio.filter.health import State
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec
 from vio.records import ImuSample
-from vio.setup_findings import Finding
+from vio.setup_check.findings import Finding
 from vio.sim.inertial import PIXHAWK
 from vio.sources.live_imu import MavlinkImu
 

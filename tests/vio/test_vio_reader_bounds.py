@@ -23,6 +23,7 @@ from vio.config import load_config
 from vio.errors import LogError
 from vio.mavlink.saved import Saved, load_saved
 from vio.records import ImuTrack
+from vio.setup_check.unmapped_tags import UnmappedTags
 from vio.sinks.log import LogWriter
 from vio.sources.foreign.bags import paired
 from vio.sources.foreign.dataflash import read_dataflash
@@ -34,7 +35,6 @@ from vio.sources.live_imu import unwrapped
 from vio.sources.log import FlightLog
 from vio.sources.logfiles import read_imu
 from vio.sources.tally import Tally
-from vio.unmapped import UnmappedTags
 
 T0 = 1_700_000_000_000_000_000
 

@@ -9,7 +9,8 @@ from simulated import arena
 
 from tagvo import geometry as geo
 from vio.imucheck import check_stamps
-from vio.setup_check import (
+from vio.setup_check.findings import axes_words
+from vio.setup_check.hypotheses import (
     StatedRig,
     Turns,
     attitudes,
@@ -19,8 +20,7 @@ from vio.setup_check import (
     enough,
     imu_turns,
 )
-from vio.setup_findings import axes_words
-from vio.setup_watch import check_sizes, pitch_ratio
+from vio.setup_check.watch import check_sizes, pitch_ratio
 from vio.sim.poses import PoseNoise
 
 VO = PoseNoise(white=(0.004, 0.15), slow=(0.0, 0.0), outliers=0.02, dropouts=0, stamp_s=0.0)

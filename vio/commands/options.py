@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from vio.config import Config
-    from vio.setup_findings import Finding
+    from vio.setup_check.findings import Finding
     from vio.sources.log import FlightLog
 
 LogFolder = Annotated[

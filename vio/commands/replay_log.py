@@ -19,10 +19,10 @@ from vio.localize.fused import VioArm, VoKfArm
 from vio.localize.run import RunResult, Sink, run
 from vio.localize.stopwatch import Stopwatch
 from vio.localize.warmup import warm_all
-from vio.setup_watch import SetupWatch
+from vio.setup_check.unmapped_tags import other_family
+from vio.setup_check.watch import SetupWatch
 from vio.sources.log import FlightLog
 from vio.sources.tally import Tally
-from vio.unmapped import other_family
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from tagvo.pipeline import Trace
     from vio.evaluate.diary import DiaryKeeper
     from vio.evaluate.sightings import SightingBook
-    from vio.setup_findings import Finding
+    from vio.setup_check.findings import Finding
     from vio.sinks.live_view import LiveView
 
 

@@ -25,7 +25,7 @@ from vio.localize.run import RunResult, Sink, run
 from vio.localize.stopwatch import Stopwatch
 from vio.mavlink.bridge import Bridge
 from vio.mavlink.latency import Ages
-from vio.setup_watch import SetupWatch
+from vio.setup_check.watch import SetupWatch
 from vio.sinks.live_view import LiveView
 from vio.sources.live_camera import Latest
 from vio.sources.live_events import LiveEvents

@@ -5,7 +5,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from vio.setup_findings import SHORT, Finding
+from vio.setup_check.findings import SHORT, Finding
 
 LOG = logging.getLogger("vio.daemon")
 

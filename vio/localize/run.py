@@ -14,7 +14,7 @@ from vio.evaluate.records import Trajectory
 from vio.localize.baselines import Estimator, Output
 from vio.localize.stopwatch import Stopwatch
 from vio.records import Ground, ImuSample
-from vio.unmapped import UnmappedTags
+from vio.setup_check.unmapped_tags import UnmappedTags
 
 Event = ImuSample | Frame | Ground
 

@@ -2,7 +2,7 @@
 
 from vio.filter.health import Health, State
 from vio.mavlink.fields import INFO, WARNING, Outgoing, statustext
-from vio.setup_findings import SHORT
+from vio.setup_check.findings import SHORT
 
 _APART_NS = 1_000_000_000
 _SAY = {

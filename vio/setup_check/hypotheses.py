@@ -15,7 +15,7 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array, BoolArray
-from vio.setup_findings import Finding, axes_words
+from vio.setup_check.findings import Finding, axes_words
 
 _ENOUGH_RAD = np.radians(30.0)  # of turning, on two axes, in each window: the verdict's own rule
 _SIGMAS2 = 9.0  # 3 sigma

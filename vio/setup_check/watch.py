@@ -14,8 +14,8 @@ from tagvo.pipeline import Trace
 from tagvo.records import PoseMeasurement
 from tagvo.tags.tag_map import TagMap
 from vio.records import ImuSample
-from vio.setup_check import StatedRig, Turns, check_force, check_setup, enough, moving
-from vio.setup_findings import Finding
+from vio.setup_check.findings import Finding
+from vio.setup_check.hypotheses import StatedRig, Turns, check_force, check_setup, enough, moving
 
 _PAIR_NS, _LONGEST_NS = 180_000_000, 450_000_000  # between two frames: VO's noise against turning
 _SPAN_NS = 20_000_000_000  # that is looked at, once it turns enough
