@@ -57,7 +57,7 @@ def clone(tmp_path_factory):
 
 def check_demo(folder, output):
     """What `tagvio demo --quick` leaves and says."""
-    from vio.sources.log import FlightLog
+    from vio.sources.flight_log.log import FlightLog
 
     log = FlightLog.open(folder / "log")
     assert (log.frame_count, len(log.truth), log.warnings) == (61, 401, [])

@@ -43,10 +43,10 @@ from vio.sim.along import followed
 from vio.sim.pictures import frames
 from vio.sim.record import write_log
 from vio.sim.scenario import load_scenario, scenario_yaml
-from vio.sources.companion import read_imu_of
-from vio.sources.log import FlightLog
-from vio.sources.logfiles import read_imu_noise, read_phases, read_truth
-from vio.sources.tally import Tally
+from vio.sources.flight_log.arrivals import read_imu_of
+from vio.sources.flight_log.files import read_imu_noise, read_phases, read_truth
+from vio.sources.flight_log.log import FlightLog
+from vio.sources.flight_log.tally import Tally
 
 CUT_HZ = 20.0
 PHASES = ("hover", "T1", "T2", "T3", "T3fast")

@@ -29,9 +29,9 @@ from vio.records import ImuSample
 from vio.sim.inertial import PIXHAWK, simulate_imu
 from vio.sim.poses import PoseNoise, PoseStream, simulate_poses, wrong_rig
 from vio.sim.trajectory import FLIGHTS, circle, hover, t1
-from vio.sources.log import FlightLog
-from vio.sources.logfiles import read_imu, read_imu_noise, read_phases, read_truth
-from vio.sources.tally import Tally
+from vio.sources.flight_log.files import read_imu, read_imu_noise, read_phases, read_truth
+from vio.sources.flight_log.log import FlightLog
+from vio.sources.flight_log.tally import Tally
 
 SLACK_NS = 1000  # stamps of one moment differ by some 100 ns in EuRoC's files
 FOUR = [14, 15, 20, 21]

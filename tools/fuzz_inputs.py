@@ -25,9 +25,7 @@ from vio.mavlink.saved import load_saved
 from vio.records import ImuSample, Truth
 from vio.sinks.bag import BagWriter
 from vio.sinks.tum import read_tum
-from vio.sources.foreign.open import read_foreign
-from vio.sources.frames import read_image
-from vio.sources.logfiles import (
+from vio.sources.flight_log.files import (
     read_detections,
     read_frame_list,
     read_ground,
@@ -36,7 +34,9 @@ from vio.sources.logfiles import (
     read_phases,
     read_truth,
 )
-from vio.sources.tally import Tally
+from vio.sources.flight_log.frames import read_image
+from vio.sources.flight_log.tally import Tally
+from vio.sources.foreign.open import read_foreign
 
 T0 = 1_700_000_000_000_000_000
 STEP = 5_000_000

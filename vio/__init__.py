@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from vio.records import Truth as Truth
     from vio.sinks.tum import read_tum as read_tum
     from vio.sinks.tum import write_tum as write_tum
-    from vio.sources.log import FlightLog as FlightLog
+    from vio.sources.flight_log.log import FlightLog as FlightLog
 
 _HOME = {
     "Config": "config",

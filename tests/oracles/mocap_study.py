@@ -22,9 +22,9 @@ from tagvo.geometry import Array, IntArray
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
 from tagvo.tags.tag_map import TagMap, load_map
-from vio.sources.frames import read_image
-from vio.sources.logfiles import read_detections
-from vio.sources.tally import Tally
+from vio.sources.flight_log.files import read_detections
+from vio.sources.flight_log.frames import read_image
+from vio.sources.flight_log.tally import Tally
 
 SIGMA_M, SIGMA_RAD = 5e-3, np.radians(0.3)  # weights of the fit: the spread of one photograph
 Pose = tuple[Array, Array]  # R (..., 3, 3), p (..., 3)

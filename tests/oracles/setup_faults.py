@@ -13,7 +13,7 @@ from vio.localize.fused import VioArm
 from vio.localize.run import run
 from vio.localize.stopwatch import Stopwatch
 from vio.setup_check.watch import SetupWatch
-from vio.sources.log import FlightLog
+from vio.sources.flight_log.log import FlightLog
 
 
 def edit_imu(log, change):

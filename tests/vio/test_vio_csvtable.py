@@ -22,9 +22,9 @@ from small_log import (
 )
 
 from vio.errors import LogError
-from vio.sources.columns import canonical
-from vio.sources.csvrows import Wanted, _block, parse_rows
-from vio.sources.logfiles import (
+from vio.sources.flight_log.columns import canonical
+from vio.sources.flight_log.csv_rows import Wanted, _block, parse_rows
+from vio.sources.flight_log.files import (
     read_detections,
     read_frame_list,
     read_imu,
@@ -32,7 +32,7 @@ from vio.sources.logfiles import (
     read_phases,
     read_truth,
 )
-from vio.sources.tally import Tally
+from vio.sources.flight_log.tally import Tally
 
 ROWS = [imu_row(i) for i in range(N_IMU)]
 
@@ -409,8 +409,8 @@ def test_memory_grows_by_what_the_rows_hold(tmp_path):
         file.writelines(f"{i}{',0.123456789012' * 6}\n" for i in range(rows))
     code = f"""
 from pathlib import Path
-from vio.sources.logfiles import read_imu
-from vio.sources.tally import Tally
+from vio.sources.flight_log.files import read_imu
+from vio.sources.flight_log.tally import Tally
 small = Path({str(tmp_path / "small.csv")!r})
 small.write_text({IMU_HEADER!r} + "1,0,0,0,0,0,0\\n" * 3000)
 def peak():

@@ -16,7 +16,7 @@ from vio.filter.eskf import Estimator
 from vio.localize.fused import VioArm
 from vio.localize.run import run, trajectory
 from vio.localize.stopwatch import Stopwatch
-from vio.sources.log import FlightLog
+from vio.sources.flight_log.log import FlightLog
 
 DATA = os.environ.get("TAGVIO_DATA")
 pytestmark = pytest.mark.skipif(DATA is None, reason="TAGVIO_DATA is not set")

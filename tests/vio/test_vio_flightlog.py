@@ -28,7 +28,7 @@ from tagvo.errors import CameraError, MapError, TagvoError
 from tagvo.records import Frame
 from vio.errors import LogError, VioError
 from vio.records import ImuSample
-from vio.sources.log import FlightLog
+from vio.sources.flight_log.log import FlightLog
 
 CAM, IMU = "mav0/cam0", "mav0/imu0"
 

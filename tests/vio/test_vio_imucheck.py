@@ -5,8 +5,8 @@ import pytest
 from flights import fly
 
 from vio.errors import LogError
-from vio.imucheck import check_imu
 from vio.records import ImuTrack
+from vio.sources.imu_check import check_imu
 
 FRAMES = np.arange(10) * 50_000_000
 

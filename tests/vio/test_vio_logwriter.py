@@ -15,7 +15,7 @@ from tagvo.records import Detections, Frame
 from vio.errors import LogError
 from vio.records import ImuNoise, ImuSample, Phase
 from vio.sinks.log import LogWriter
-from vio.sources.log import FlightLog
+from vio.sources.flight_log.log import FlightLog
 
 T0 = 1_403_638_519_492_829_441  # odd: a float cannot hold it
 CAMERA = pinhole(f=60.0, width=64, height=48, p_CI=np.array([0.1, 0.0, -0.05]), timeshift_s=1e-3)

@@ -25,16 +25,16 @@ from vio.mavlink.saved import Saved, load_saved
 from vio.records import ImuTrack
 from vio.setup_check.unmapped_tags import UnmappedTags
 from vio.sinks.log import LogWriter
+from vio.sources.flight_log.files import read_imu
+from vio.sources.flight_log.log import FlightLog
+from vio.sources.flight_log.tally import Tally
 from vio.sources.foreign.bags import paired
 from vio.sources.foreign.dataflash import read_dataflash
 from vio.sources.foreign.images import picture
 from vio.sources.foreign.messages import calibration
 from vio.sources.foreign.topics import IMAGE, Topic, choose, is_rectified
-from vio.sources.imagefile import decoded, image_size
+from vio.sources.image_file import decoded, image_size
 from vio.sources.live_imu import unwrapped
-from vio.sources.log import FlightLog
-from vio.sources.logfiles import read_imu
-from vio.sources.tally import Tally
 
 T0 = 1_700_000_000_000_000_000
 

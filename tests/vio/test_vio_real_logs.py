@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from tagvo.records import Frame
-from vio.sources.log import FlightLog
-from vio.sources.logfiles import (
+from vio.sources.flight_log.files import (
     read_detections,
     read_imu,
     read_imu_noise,
     read_phases,
     read_truth,
 )
-from vio.sources.tally import Tally
+from vio.sources.flight_log.log import FlightLog
+from vio.sources.flight_log.tally import Tally
 
 
 @pytest.fixture(scope="module")

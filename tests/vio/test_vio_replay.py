@@ -15,7 +15,7 @@ from fc_live import Live, free_port, udp_to
 from flying_log import write_flying_log
 from still_flight import CONFIGS, TAGVIO, write_config, write_images
 
-from vio.sources.log import FlightLog
+from vio.sources.flight_log.log import FlightLog
 
 VISION = "VISION_POSITION_ESTIMATE"
 

@@ -8,7 +8,6 @@ from flights import CAMERA, fly
 from simulated import arena
 
 from tagvo import geometry as geo
-from vio.imucheck import check_stamps
 from vio.setup_check.findings import axes_words
 from vio.setup_check.hypotheses import (
     StatedRig,
@@ -22,6 +21,7 @@ from vio.setup_check.hypotheses import (
 )
 from vio.setup_check.watch import check_sizes, pitch_ratio
 from vio.sim.poses import PoseNoise
+from vio.sources.imu_check import check_stamps
 
 VO = PoseNoise(white=(0.004, 0.15), slow=(0.0, 0.0), outliers=0.02, dropouts=0, stamp_s=0.0)
 UP = np.array([0.0, 0.0, 1.0])

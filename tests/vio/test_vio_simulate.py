@@ -19,7 +19,7 @@ from tagvo.camera.calibration import load_camera
 from tagvo.detect import make_detector
 from vio.evaluate.truth import clean_truth, interpolate
 from vio.sim.scenario import load_scenario
-from vio.sources.log import FlightLog
+from vio.sources.flight_log.log import FlightLog
 
 SHORT = [
     "flight.name=waypoints", "flight.waypoints=[[0,1.5,2.0,0.9,0],[2,1.5,2.6,1.2,20]]",

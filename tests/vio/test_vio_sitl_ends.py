@@ -21,7 +21,7 @@ from vio.sitl.play import play
 from vio.sitl.px4 import Px4End
 from vio.sitl.records import SimState
 from vio.sitl.vision import LogVision
-from vio.sources.log import FlightLog
+from vio.sources.flight_log.log import FlightLog
 
 MS, S = 1_000_000, 10**9
 

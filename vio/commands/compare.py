@@ -10,7 +10,7 @@ from vio.commands import options as opt
 if TYPE_CHECKING:
     from vio.commands.replay_log import Replayed
     from vio.evaluate.records import Window
-    from vio.sources.log import FlightLog
+    from vio.sources.flight_log.log import FlightLog
 
 Align = Literal["none", "yaw", "se3"]
 

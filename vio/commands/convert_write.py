@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from tagvo.records import Frame
     from tagvo.tags.tag_map import TagMap
     from vio.records import ImuNoise
-    from vio.sources.tally import Tally
+    from vio.sources.flight_log.tally import Tally
 
 Step = Callable[[], None]
 Stop = Callable[[], bool]
@@ -46,7 +46,7 @@ def read_rig(found: Foreign, files: Files, tally: "Tally") -> Rig:
     """The rig of the files named, else what the log itself says; doubts go to the tally."""
     from tagvo.camera.calibration import load_camera
     from tagvo.maps.formats import read_map_file
-    from vio.sources.logfiles import read_imu_noise
+    from vio.sources.flight_log.files import read_imu_noise
 
     map_file, camera_file, noise_file = files
     camera = found.camera

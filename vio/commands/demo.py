@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from vio.config import Config
     from vio.localize.baselines import Estimator
-    from vio.sources.log import FlightLog
+    from vio.sources.flight_log.log import FlightLog
 
 _WORKERS = 2
 _RUNS = {  # folder: what it is, its configuration below configs/

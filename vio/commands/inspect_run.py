@@ -15,7 +15,7 @@ from vio.evaluate.sections import Picture, suspect_lines
 from vio.evaluate.suspects import Judgement, judge_tags
 from vio.evaluate.truth import TruthTrack
 from vio.sinks.moments import picture
-from vio.sources.log import FlightLog
+from vio.sources.flight_log.log import FlightLog
 
 if TYPE_CHECKING:
     from vio.evaluate.sightings import SightingBook

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from vio.config import Config
     from vio.setup_check.findings import Finding
-    from vio.sources.log import FlightLog
+    from vio.sources.flight_log.log import FlightLog
 
 LogFolder = Annotated[
     Path, typer.Argument(metavar="LOG", help="A flight log (a folder).", show_default=False)
@@ -81,7 +81,7 @@ def open_all(choice: Choice) -> "tuple[FlightLog, Config]":
     The folder for the results is made first: a long run must not end for want of it.
     """
     from vio.config import load_config
-    from vio.sources.log import FlightLog
+    from vio.sources.flight_log.log import FlightLog
 
     ids, blackout = ids_of(choice.only_tags), _pair(choice.blackout)
     make_folder(choice.out)

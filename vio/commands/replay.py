@@ -56,7 +56,7 @@ def command(
     from vio.config import load_config
     from vio.daemon import fly
     from vio.interrupt import gently
-    from vio.sources.log import FlightLog
+    from vio.sources.flight_log.log import FlightLog
 
     start_log()
     opened = FlightLog.open(log, imu=imu, use_detections=detections)

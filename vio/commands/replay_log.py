@@ -12,7 +12,6 @@ from vio.commands.options import Choice, open_all, progress, waiting
 from vio.config import Config
 from vio.errors import EvaluationError, LogError
 from vio.filter import eskf as flt
-from vio.imucheck import check_imu, check_stamps
 from vio.interrupt import gently
 from vio.localize.baselines import Estimator, VoArm, VoFirArm
 from vio.localize.fused import VioArm, VoKfArm
@@ -21,8 +20,9 @@ from vio.localize.stopwatch import Stopwatch
 from vio.localize.warmup import warm_all
 from vio.setup_check.unmapped_tags import other_family
 from vio.setup_check.watch import SetupWatch
-from vio.sources.log import FlightLog
-from vio.sources.tally import Tally
+from vio.sources.flight_log.log import FlightLog
+from vio.sources.flight_log.tally import Tally
+from vio.sources.imu_check import check_imu, check_stamps
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

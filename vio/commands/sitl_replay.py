@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from vio.evaluate.records import Trajectory
     from vio.sitl.play import Played
     from vio.sitl.records import SitlEnd
-    from vio.sources.log import FlightLog
+    from vio.sources.flight_log.log import FlightLog
 
 Autopilot = Literal["ardupilot", "px4"]
 _SEED = 1

@@ -8,9 +8,9 @@ from collections.abc import Callable
 from tagvo.records import Frame
 from vio.daemon.clock import FlightClock
 from vio.daemon.meter import Meter
+from vio.sources.flight_log.log import Event, FlightLog
 from vio.sources.live_camera import Latest
 from vio.sources.live_events import LiveEvents
-from vio.sources.log import Event, FlightLog
 
 _AHEAD = 64  # events read ahead, images decoded
 

@@ -19,7 +19,7 @@ from vio.config import Config
 from vio.errors import VioError
 from vio.records import ImuNoise
 from vio.sinks.log import LogWriter, make_private_folder, opened_private
-from vio.sources.logfiles import read_imu_noise
+from vio.sources.flight_log.files import read_imu_noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,9 +17,9 @@ from vio.sim.clocks import Clock
 from vio.sim.recording import Recording, map_of, rig_of, said_of, scene_of, stream_of
 from vio.sim.scenario import Scenario
 from vio.sim.truthspline import TruthSpline, left_out, spline_of, velocity_misfit
-from vio.sources.companion import read_imu_of
-from vio.sources.logfiles import read_imu_noise, read_phases, read_truth
-from vio.sources.tally import Tally
+from vio.sources.flight_log.arrivals import read_imu_of
+from vio.sources.flight_log.files import read_imu_noise, read_phases, read_truth
+from vio.sources.flight_log.tally import Tally
 
 _TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 _LEAST_HEIGHT_M = 0.03  # of the camera over the floor, after the flight is lifted if need be

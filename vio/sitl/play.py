@@ -19,7 +19,7 @@ from vio.sitl.estimate import fc_trajectory
 from vio.sitl.link import SimLink
 from vio.sitl.motion import Motion, placed
 from vio.sitl.records import SitlEnd
-from vio.sources.log import FlightLog
+from vio.sources.flight_log.log import FlightLog
 
 LOG = logging.getLogger("vio.sitl")
 _BLOCK = 256  # steps that are computed at once

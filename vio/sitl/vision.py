@@ -8,7 +8,7 @@ from vio.localize.baselines import Output
 from vio.localize.fused import VioArm
 from vio.records import Ground, ImuSample
 from vio.sitl.play import Offer
-from vio.sources.log import FlightLog
+from vio.sources.flight_log.log import FlightLog
 
 
 class LogVision:

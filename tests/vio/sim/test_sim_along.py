@@ -26,8 +26,8 @@ from vio.sim.recording import rig_of, simulated
 from vio.sim.scenario import load_scenario
 from vio.sim.trajectory import t3_command
 from vio.sim.truthspline import left_out, spline_of, velocity_misfit
-from vio.sources.companion import same_clock
-from vio.sources.log import FlightLog
+from vio.sources.flight_log.arrivals import same_clock
+from vio.sources.flight_log.log import FlightLog
 
 SHORT = ["flight.takeoff=false", "imu.raw_hz=null", "imu.low_pass=null", "lens.readout_s=0"]
 EXACT = [

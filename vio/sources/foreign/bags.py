@@ -17,6 +17,7 @@ from tagvo.geometry import Array, IntArray
 from tagvo.records import Detections, Frame
 from vio.errors import LogError, VioError
 from vio.records import ImuTrack, Truth
+from vio.sources.flight_log.tally import Tally
 from vio.sources.foreign.images import ENCODINGS, picture, unpacked
 from vio.sources.foreign.messages import (
     APRILTAG_MSGS,
@@ -29,7 +30,6 @@ from vio.sources.foreign.messages import (
 )
 from vio.sources.foreign.records import Foreign, FrameReel, said
 from vio.sources.foreign.topics import COMPRESSED, Topic, choose, is_rectified
-from vio.sources.tally import Tally
 
 _SAME_CLOCK_NS = 2_000_000_000  # recorded within so much of its stamp: the same clock
 T = TypeVar("T")

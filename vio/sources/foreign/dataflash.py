@@ -8,10 +8,10 @@ from tagvo.geometry import Array, IntArray
 from vio.errors import LogError
 from vio.frames import FLIP, enu_of_ned, flu_in_enu
 from vio.records import ImuTrack, Truth
+from vio.sources.flight_log.tally import Tally
 from vio.sources.foreign.attitude import between
 from vio.sources.foreign.dataflash_file import Row, messages
 from vio.sources.foreign.records import Foreign
-from vio.sources.tally import Tally
 
 _FIELDS = {
     "GYR": ("SampleUS", "I", "GyrX", "GyrY", "GyrZ"),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from vio.errors import LogError
-from vio.sources.tally import Tally
+from vio.sources.flight_log.tally import Tally
 
 _SYNC, _FMT, _FMT_BYTES = b"\xa3\x95", 128, 89
 _TEXT = b"FMT"

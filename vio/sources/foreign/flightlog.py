@@ -8,12 +8,12 @@ from tagvo.camera.calibration import load_camera
 from tagvo.camera.model import Camera
 from tagvo.records import Frame
 from vio.errors import LogError
-from vio.sources.companion import read_imu_of
+from vio.sources.flight_log.arrivals import read_imu_of
+from vio.sources.flight_log.files import read_truth
+from vio.sources.flight_log.frames import FrameSource, open_frames
+from vio.sources.flight_log.options import LogOptions
+from vio.sources.flight_log.tally import Tally
 from vio.sources.foreign.records import Foreign, FrameReel
-from vio.sources.frames import FrameSource, open_frames
-from vio.sources.logfiles import read_truth
-from vio.sources.logoptions import LogOptions
-from vio.sources.tally import Tally
 
 _TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 

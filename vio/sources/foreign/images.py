@@ -6,7 +6,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from vio.sources.imagefile import decoded
+from vio.sources.image_file import decoded
 
 Image = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
 _BAYER = {"rggb": cv2.COLOR_BayerBG2GRAY, "bggr": cv2.COLOR_BayerRG2GRAY,

@@ -8,8 +8,8 @@ import numpy as np
 
 from tagvo.textfile import check_regular
 from vio.errors import LogError
+from vio.sources.flight_log.tally import Tally
 from vio.sources.foreign.records import Foreign
-from vio.sources.tally import Tally
 
 KINDS = {  # ending -> kind
     ".bag": "bag", ".db3": "bag", ".mcap": "bag",

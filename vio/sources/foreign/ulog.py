@@ -13,8 +13,8 @@ from tagvo.geometry import Array, IntArray
 from vio.errors import LogError, VioError
 from vio.frames import FLIP, enu_of_ned, flu_in_enu
 from vio.records import ImuTrack, Truth
+from vio.sources.flight_log.tally import Tally
 from vio.sources.foreign.records import Foreign, said
-from vio.sources.tally import Tally
 
 _BROKEN = (TypeError, ValueError, LookupError, ArithmeticError, struct.error, AttributeError,
            MemoryError, OSError, AssertionError, RuntimeError)  # fmt: skip

@@ -9,10 +9,10 @@ import numpy as np
 from tagvo.geometry import IntArray
 from tagvo.records import Frame
 from vio.errors import LogError
-from vio.sources.columns import Layout
-from vio.sources.csvtable import read_table
+from vio.sources.flight_log.columns import Layout
+from vio.sources.flight_log.csv_table import read_table
+from vio.sources.flight_log.tally import Tally
 from vio.sources.foreign.records import Foreign, FrameReel
-from vio.sources.tally import Tally
 
 STAMPS = Layout("stamps", "timestamp [ns] of each frame, in its order", ("t_ns",), ("t_ns",))
 

@@ -11,9 +11,9 @@ import numpy as np
 from tagvo.geometry import Array, IntArray
 from tagvo.textfile import open_lines
 from vio.errors import LogError
-from vio.sources.columns import Layout, canonical, resolve
-from vio.sources.csvrows import Wanted, parse_rows, split
-from vio.sources.tally import Tally
+from vio.sources.flight_log.columns import Layout, canonical, resolve
+from vio.sources.flight_log.csv_rows import Wanted, parse_rows, split
+from vio.sources.flight_log.tally import Tally
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(nan|inf|infinity)", re.I | re.A)
 

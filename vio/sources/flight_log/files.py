@@ -11,10 +11,10 @@ from tagvo.records import Detections
 from tagvo.textfile import finite_number, read_yaml
 from vio.errors import LogError
 from vio.records import Ground, ImuNoise, ImuTrack, Phase, Truth
-from vio.sources.columns import Layout
-from vio.sources.csvrows import BLANK
-from vio.sources.csvtable import Table, read_table
-from vio.sources.tally import Tally
+from vio.sources.flight_log.columns import Layout
+from vio.sources.flight_log.csv_rows import BLANK
+from vio.sources.flight_log.csv_table import Table, read_table
+from vio.sources.flight_log.tally import Tally
 
 _SLOWEST_IMU_NS = 50_000_000  # 20 Hz: a hand moves at 5 Hz, a vehicle's attitude faster
 _CLOCK_STEP_NS = 1_000_000_000  # no buffer holds back so much; a gap of less is one

@@ -14,16 +14,16 @@ from tagvo.records import Frame
 from tagvo.tags.tag_map import TagMap, load_map
 from vio.errors import LogError
 from vio.records import Ground, ImuNoise, ImuSample, ImuTrack, Phase, Truth
-from vio.sources.frames import FrameSource, open_frames
-from vio.sources.logfiles import (
+from vio.sources.flight_log.files import (
     read_ground,
     read_imu,
     read_imu_noise,
     read_phases,
     read_truth,
 )
-from vio.sources.logoptions import LogOptions, only_tags_of
-from vio.sources.tally import Tally
+from vio.sources.flight_log.frames import FrameSource, open_frames
+from vio.sources.flight_log.options import LogOptions, only_tags_of
+from vio.sources.flight_log.tally import Tally
 
 NEEDS = (
     "a flight log needs tagmap.yaml, camchain-imucam.yaml (or mav0/cam0/sensor.yaml) and"

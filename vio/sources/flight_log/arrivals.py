@@ -10,8 +10,8 @@ from scipy.ndimage import minimum_filter1d
 from tagvo.geometry import IntArray
 from vio.errors import LogError
 from vio.records import ImuTrack
-from vio.sources.logfiles import read_imu
-from vio.sources.tally import Tally
+from vio.sources.flight_log.files import read_imu
+from vio.sources.flight_log.tally import Tally
 
 _WINDOW_S = 0.25  # the quickest sample within it tells the offset of the two clocks
 

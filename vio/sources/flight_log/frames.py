@@ -10,15 +10,15 @@ from tagvo.geometry import IntArray
 from tagvo.records import Detections, Frame
 from tagvo.textfile import check_regular
 from vio.errors import LogError
-from vio.sources.imagefile import decoded
-from vio.sources.logfiles import (
+from vio.sources.flight_log.files import (
     DetectionTable,
     FrameList,
     read_detections,
     read_frame_list,
 )
-from vio.sources.logoptions import LogOptions
-from vio.sources.tally import Tally
+from vio.sources.flight_log.options import LogOptions
+from vio.sources.flight_log.tally import Tally
+from vio.sources.image_file import decoded
 
 _NO_TAGS = Detections.of(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)))
 

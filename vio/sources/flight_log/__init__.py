@@ -1,0 +1,1 @@
+"""Flight logs: folders of CSV files and images, read row by row."""
