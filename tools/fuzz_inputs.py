@@ -334,7 +334,7 @@ def _mavlink() -> Reader:
     def read(path: Path) -> object:
         from pymavlink.dialects.v20 import ardupilotmega as dialect
 
-        from vio.sources.live_imu import MavlinkImu
+        from vio.sources.live.imu import MavlinkImu
 
         codec = dialect.MAVLink(None)
         codec.robust_parsing = True

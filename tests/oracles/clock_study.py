@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 from vio.config.mavlink import MavlinkConfig
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS
-from vio.sources.live_imu import MavlinkImu
+from vio.sources.live.imu import MavlinkImu
 
 WANTED = {m.MAVLINK_MSG_ID_HEARTBEAT, m.MAVLINK_MSG_ID_TIMESYNC, m.MAVLINK_MSG_ID_HIGHRES_IMU}
 HALF_LINE_NS = 5_000_000_000  # a line of 10 s about each stamp

@@ -13,7 +13,7 @@ from vio.frames import FLIP
 from vio.mavlink.companion import Companion
 from vio.mavlink.dialect import MESSAGE_IDS, Codec
 from vio.records import Moment, NavState
-from vio.sources.live_imu import MavlinkImu
+from vio.sources.live.imu import MavlinkImu
 
 MS = 1_000_000
 S = 1_000_000_000

@@ -29,7 +29,7 @@ from vio.mavlink.fields import Outgoing
 from vio.records import Ground, ImuSample, Moment, NavState
 from vio.sinks.log import LogWriter
 from vio.sources.flight_log.log import FlightLog
-from vio.sources.live_camera import Latest
+from vio.sources.live.camera import Latest
 
 MS = 1_000_000
 

@@ -20,7 +20,7 @@ from vio.mavlink.dialect import MESSAGE_IDS, Codec
 from vio.records import ImuSample
 from vio.setup_check.findings import Finding
 from vio.sim.inertial import PIXHAWK
-from vio.sources.live_imu import MavlinkImu
+from vio.sources.live.imu import MavlinkImu
 
 VISION = "VISION_POSITION_ESTIMATE"
 

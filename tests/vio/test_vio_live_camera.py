@@ -11,10 +11,10 @@ from fc_live import until
 from tagvo.records import Frame
 from vio.config.daemon import CameraConfig
 from vio.errors import CameraLost, SourceError
-from vio.sources import live_grab
-from vio.sources.live_camera import Latest, LiveCamera
-from vio.sources.live_events import LiveEvents
-from vio.sources.live_grab import Files, PiCamera, V4l2, folder_images, middle_ns, open_camera
+from vio.sources.live import grab
+from vio.sources.live.camera import Latest, LiveCamera
+from vio.sources.live.events import LiveEvents
+from vio.sources.live.grab import Files, PiCamera, V4l2, folder_images, middle_ns, open_camera
 
 SIZE = (64, 48)
 IMAGE = np.full((48, 64, 3), 90, np.uint8)
@@ -243,8 +243,8 @@ def test_files_do_not_catch_up_after_a_stall(tmp_path, monkeypatch):
     write_images(tmp_path / "images")
     config = CameraConfig(device="images", rate_hz=100.0, repeat=True)
     camera, now = open_camera(config, SIZE, tmp_path), [1_000_000_000]
-    monkeypatch.setattr(live_grab.time, "monotonic_ns", lambda: now[0])
-    monkeypatch.setattr(live_grab.time, "sleep", lambda s: now.append(now.pop() + round(s * 1e9)))
+    monkeypatch.setattr(grab.time, "monotonic_ns", lambda: now[0])
+    monkeypatch.setattr(grab.time, "sleep", lambda s: now.append(now.pop() + round(s * 1e9)))
     before = [camera.read().t_ns for _ in range(2)]
     now[0] += 500_000_000
     after = [camera.read().t_ns for _ in range(3)]

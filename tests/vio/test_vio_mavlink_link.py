@@ -23,7 +23,7 @@ from vio.mavlink.saved import Saved, first_counter, load_saved, save
 from vio.mavlink.transport import TcpClient, UdpSocket, open_transport
 from vio.mavlink.url import Address, check_baud, parse_url
 from vio.records import Moment, NavState
-from vio.sources.live_imu import MavlinkImu
+from vio.sources.live.imu import MavlinkImu
 
 VISION = "VISION_POSITION_ESTIMATE"
 

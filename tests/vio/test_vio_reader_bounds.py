@@ -34,7 +34,7 @@ from vio.sources.foreign.images import picture
 from vio.sources.foreign.messages import calibration
 from vio.sources.foreign.topics import IMAGE, Topic, choose, is_rectified
 from vio.sources.image_file import decoded, image_size
-from vio.sources.live_imu import unwrapped
+from vio.sources.live.imu import unwrapped
 
 T0 = 1_700_000_000_000_000_000
 

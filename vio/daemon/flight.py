@@ -27,8 +27,8 @@ from vio.mavlink.bridge import Bridge
 from vio.mavlink.latency import Ages
 from vio.setup_check.watch import SetupWatch
 from vio.sinks.live_view import LiveView
-from vio.sources.live_camera import Latest
-from vio.sources.live_events import LiveEvents
+from vio.sources.live.camera import Latest
+from vio.sources.live.events import LiveEvents
 
 LOG = logging.getLogger("vio.daemon")
 _KEEP = 900

@@ -38,9 +38,9 @@ from vio.records import Ground, ImuSample
 from vio.setup_check.unmapped_tags import UnmappedTags, other_family
 from vio.sinks.live_view import LiveView
 from vio.sources.flight_log.log import FlightLog
-from vio.sources.live_camera import LiveCamera
-from vio.sources.live_grab import Grabber, open_camera
-from vio.sources.live_imu import MavlinkImu
+from vio.sources.live.camera import LiveCamera
+from vio.sources.live.grab import Grabber, open_camera
+from vio.sources.live.imu import MavlinkImu
 
 LOG = logging.getLogger("vio.daemon")
 _LOOK_S = 0.25

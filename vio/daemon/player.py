@@ -9,8 +9,8 @@ from tagvo.records import Frame
 from vio.daemon.clock import FlightClock
 from vio.daemon.meter import Meter
 from vio.sources.flight_log.log import Event, FlightLog
-from vio.sources.live_camera import Latest
-from vio.sources.live_events import LiveEvents
+from vio.sources.live.camera import Latest
+from vio.sources.live.events import LiveEvents
 
 _AHEAD = 64  # events read ahead, images decoded
 

@@ -10,7 +10,7 @@ from vio.frames import FLIP
 from vio.records import ImuTrack
 from vio.sources.flight_log.tally import Tally
 from vio.sources.foreign.records import Foreign, said
-from vio.sources.live_imu import body_frd, unwrapped
+from vio.sources.live.imu import body_frd, unwrapped
 
 NAME = "imu_mavlink"
 _MESSAGES = ("HIGHRES_IMU", "RAW_IMU", "SCALED_IMU")  # the first that is there is taken

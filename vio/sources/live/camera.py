@@ -9,7 +9,7 @@ from collections.abc import Callable
 from tagvo.detect.protocol import gray_image
 from tagvo.records import Frame
 from vio.errors import CameraLost, SourceError
-from vio.sources.live_grab import Grabber, Shot
+from vio.sources.live.grab import Grabber, Shot
 
 LOG = logging.getLogger("vio.camera")
 _BACK_OFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)

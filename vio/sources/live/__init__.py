@@ -1,0 +1,1 @@
+"""Live sources: a camera, the autopilot's IMU, and the queue of their events."""
