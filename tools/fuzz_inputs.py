@@ -20,10 +20,11 @@ from tagvo.records import Detections, Frame
 from tagvo.tags.tag_map import load_map, map_from_dict
 from tagvo.textfile import read_yaml
 from vio.config import load_config
+from vio.convert.bag_writer import BagWriter
+from vio.convert.open import read_foreign
 from vio.mavlink.dialect import read_key
 from vio.mavlink.saved import load_saved
 from vio.records import ImuSample, Truth
-from vio.sinks.bag import BagWriter
 from vio.sinks.tum import read_tum
 from vio.sources.flight_log.files import (
     read_detections,
@@ -36,7 +37,6 @@ from vio.sources.flight_log.files import (
 )
 from vio.sources.flight_log.frames import read_image
 from vio.sources.flight_log.tally import Tally
-from vio.sources.foreign.open import read_foreign
 
 T0 = 1_700_000_000_000_000_000
 STEP = 5_000_000

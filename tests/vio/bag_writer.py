@@ -8,8 +8,8 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from vio.convert.link_messages import APRILTAG_MSGS
 from vio.sources.flight_log.log import FlightLog
-from vio.sources.foreign.messages import APRILTAG_MSGS
 
 
 class Bag:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from cli_calls import tagvio
 
+from vio.convert.video import read_video
 from vio.sources.flight_log.tally import Tally
-from vio.sources.foreign.video import read_video
 
 pytest.importorskip("rosbags")
 MAGIC = b"\x89MCAP0\r\n"

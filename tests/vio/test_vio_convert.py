@@ -15,13 +15,13 @@ from test_vio_simulate import MORE
 
 from tagvo import geometry as geo
 from tagvo.records import Frame
+from vio.convert.attitude import between
+from vio.convert.images import picture
+from vio.convert.topics import COMPRESSED, IMAGE, ODOMETRY, Topic, choose
 from vio.frames import FLIP, enu_of_ned, flu_in_enu
 from vio.sources.flight_log.files import read_truth
 from vio.sources.flight_log.log import FlightLog
 from vio.sources.flight_log.tally import Tally
-from vio.sources.foreign.attitude import between
-from vio.sources.foreign.images import picture
-from vio.sources.foreign.topics import COMPRESSED, IMAGE, ODOMETRY, Topic, choose
 
 rosbags = pytest.importorskip("rosbags")
 from bag_writer import Bag, bag_of  # noqa: E402

@@ -20,6 +20,11 @@ from tagvo.maps.check import check_map_data, summed_up
 from tagvo.maps.formats import read_map_file
 from tagvo.textfile import parse_yaml, read_text
 from vio.config import load_config
+from vio.convert.bags import paired
+from vio.convert.dataflash import read_dataflash
+from vio.convert.images import picture
+from vio.convert.link_messages import calibration
+from vio.convert.topics import IMAGE, Topic, choose, is_rectified
 from vio.errors import LogError
 from vio.mavlink.saved import Saved, load_saved
 from vio.records import ImuTrack
@@ -28,11 +33,6 @@ from vio.sinks.log import LogWriter
 from vio.sources.flight_log.files import read_imu
 from vio.sources.flight_log.log import FlightLog
 from vio.sources.flight_log.tally import Tally
-from vio.sources.foreign.bags import paired
-from vio.sources.foreign.dataflash import read_dataflash
-from vio.sources.foreign.images import picture
-from vio.sources.foreign.messages import calibration
-from vio.sources.foreign.topics import IMAGE, Topic, choose, is_rectified
 from vio.sources.image_file import decoded, image_size
 from vio.sources.live.imu import unwrapped
 

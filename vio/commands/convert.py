@@ -9,9 +9,9 @@ from vio.commands import options as opt
 from vio.interrupt import gently
 
 if TYPE_CHECKING:
-    from vio.commands.convert_write import Written
+    from vio.convert.records import Foreign
+    from vio.convert.write import Written
     from vio.sources.flight_log.tally import Tally
-    from vio.sources.foreign.records import Foreign
 
 Inputs = Annotated[
     list[Path], typer.Argument(metavar="FILE...", help="Files of one flight.", show_default=False)
@@ -94,10 +94,10 @@ def command(
 
     tagvio convert log --out log.mcap
     """
-    from vio.commands.convert_write import read_rig, write_bag, write_flight_log, write_truth
+    from vio.convert.open import read_foreign, shifted, together
+    from vio.convert.write import read_rig, write_bag, write_flight_log, write_truth
     from vio.errors import LogError
     from vio.sources.flight_log.tally import Tally
-    from vio.sources.foreign.open import read_foreign, shifted, together
 
     moved, named, flat = _numbers(shift), _topics(topic or []), _yes_or_no(rectified)
     if camera is not None:
@@ -143,8 +143,8 @@ def _tables(
     imu_csv: Path | None, truth_csv: Path | None, tally: "Tally"
 ) -> "list[tuple[Path, Foreign]]":
     """IMU and truth of CSV files, as parts of the flight."""
+    from vio.convert.records import Foreign
     from vio.sources.flight_log.files import read_imu, read_truth
-    from vio.sources.foreign.records import Foreign
 
     out = []
     if imu_csv is not None:
@@ -155,7 +155,7 @@ def _tables(
 
 
 def _topics(assignments: list[str]) -> dict[str, str]:
-    from vio.sources.foreign.topics import TYPES
+    from vio.convert.topics import TYPES
 
     out = {}
     for text in assignments:

@@ -8,11 +8,11 @@ import numpy as np
 
 from tagvo.geometry import IntArray
 from tagvo.records import Frame
+from vio.convert.records import Foreign, FrameReel
 from vio.errors import LogError
 from vio.sources.flight_log.columns import Layout
 from vio.sources.flight_log.csv_table import read_table
 from vio.sources.flight_log.tally import Tally
-from vio.sources.foreign.records import Foreign, FrameReel
 
 STAMPS = Layout("stamps", "timestamp [ns] of each frame, in its order", ("t_ns",), ("t_ns",))
 

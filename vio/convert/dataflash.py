@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 
 from tagvo.geometry import Array, IntArray
+from vio.convert.attitude import between
+from vio.convert.dataflash_file import Row, messages
+from vio.convert.records import Foreign
 from vio.errors import LogError
 from vio.frames import FLIP, enu_of_ned, flu_in_enu
 from vio.records import ImuTrack, Truth
 from vio.sources.flight_log.tally import Tally
-from vio.sources.foreign.attitude import between
-from vio.sources.foreign.dataflash_file import Row, messages
-from vio.sources.foreign.records import Foreign
 
 _FIELDS = {
     "GYR": ("SampleUS", "I", "GyrX", "GyrY", "GyrZ"),

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from tagvo.textfile import check_regular
+from vio.convert.records import Foreign
 from vio.errors import LogError
 from vio.sources.flight_log.tally import Tally
-from vio.sources.foreign.records import Foreign
 
 KINDS = {  # ending -> kind
     ".bag": "bag", ".db3": "bag", ".mcap": "bag",
@@ -57,26 +57,26 @@ def read_foreign(
     """What one file or folder holds; topics, rectified: of bags; stamps: of a video."""
     kind = kind_of(path)
     if kind == "bag":
-        from vio.sources.foreign.bags import read_bag
+        from vio.convert.bags import read_bag
 
         return read_bag(path, topics, tally, rectified)
     if kind == "dataflash":
-        from vio.sources.foreign.dataflash import read_dataflash
+        from vio.convert.dataflash import read_dataflash
 
         return read_dataflash(path, tally)
     if kind == "ulog":
-        from vio.sources.foreign.ulog import read_ulog
+        from vio.convert.ulog import read_ulog
 
         return read_ulog(path, tally)
     if kind == "tlog":
-        from vio.sources.foreign.tlog import read_tlog
+        from vio.convert.tlog import read_tlog
 
         return read_tlog(path, tally)
     if kind == "video":
-        from vio.sources.foreign.video import read_video
+        from vio.convert.video import read_video
 
         return read_video(path, stamps, tally)
-    from vio.sources.foreign.flightlog import read_flight_log
+    from vio.convert.flightlog import read_flight_log
 
     return read_flight_log(path, tally)
 

@@ -10,9 +10,9 @@ from tagvo.camera.model import Camera
 from tagvo.detect.apriltag import as_library
 from tagvo.geometry import Array
 from tagvo.records import Detections, Frame
+from vio.convert.link_messages import APRILTAG_MSGS
 from vio.errors import LogError, VioError
 from vio.records import ImuSample, Truth
-from vio.sources.foreign.messages import APRILTAG_MSGS
 
 MAP, BODY, CAMERA = "map", "imu0", "cam0"
 _MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "none": "plumb_bob"}

@@ -8,7 +8,7 @@ from tagvo import geometry as geo
 from tagvo.detect.apriltag import upright
 from tagvo.geometry import Array
 from tagvo.records import Detections
-from vio.sources.foreign.topics import ODOMETRY, POSE, TRANSFORM
+from vio.convert.topics import ODOMETRY, POSE, TRANSFORM
 
 APRILTAG_MSGS = {  # no ROS's own type store has them
     "apriltag_msgs/msg/Point": "float64 x\nfloat64 y\n",

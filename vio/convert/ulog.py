@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from tagvo.geometry import Array, IntArray
+from vio.convert.records import Foreign, said
 from vio.errors import LogError, VioError
 from vio.frames import FLIP, enu_of_ned, flu_in_enu
 from vio.records import ImuTrack, Truth
 from vio.sources.flight_log.tally import Tally
-from vio.sources.foreign.records import Foreign, said
 
 _BROKEN = (TypeError, ValueError, LookupError, ArithmeticError, struct.error, AttributeError,
            MemoryError, OSError, AssertionError, RuntimeError)  # fmt: skip

@@ -7,13 +7,13 @@ from pathlib import Path
 from tagvo.camera.calibration import load_camera
 from tagvo.camera.model import Camera
 from tagvo.records import Frame
+from vio.convert.records import Foreign, FrameReel
 from vio.errors import LogError
 from vio.sources.flight_log.arrivals import read_imu_of
 from vio.sources.flight_log.files import read_truth
 from vio.sources.flight_log.frames import FrameSource, open_frames
 from vio.sources.flight_log.options import LogOptions
 from vio.sources.flight_log.tally import Tally
-from vio.sources.foreign.records import Foreign, FrameReel
 
 _TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 

@@ -15,11 +15,8 @@ from tagvo.camera.model import Camera
 from tagvo.errors import shown
 from tagvo.geometry import Array, IntArray
 from tagvo.records import Detections, Frame
-from vio.errors import LogError, VioError
-from vio.records import ImuTrack, Truth
-from vio.sources.flight_log.tally import Tally
-from vio.sources.foreign.images import ENCODINGS, picture, unpacked
-from vio.sources.foreign.messages import (
+from vio.convert.images import ENCODINGS, picture, unpacked
+from vio.convert.link_messages import (
     APRILTAG_MSGS,
     calibration,
     family_of,
@@ -28,8 +25,11 @@ from vio.sources.foreign.messages import (
     stamp_ns,
     tags_of,
 )
-from vio.sources.foreign.records import Foreign, FrameReel, said
-from vio.sources.foreign.topics import COMPRESSED, Topic, choose, is_rectified
+from vio.convert.records import Foreign, FrameReel, said
+from vio.convert.topics import COMPRESSED, Topic, choose, is_rectified
+from vio.errors import LogError, VioError
+from vio.records import ImuTrack, Truth
+from vio.sources.flight_log.tally import Tally
 
 _SAME_CLOCK_NS = 2_000_000_000  # recorded within so much of its stamp: the same clock
 T = TypeVar("T")

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from vio.convert.records import Foreign, said
 from vio.errors import LogError
 from vio.frames import FLIP
 from vio.records import ImuTrack
 from vio.sources.flight_log.tally import Tally
-from vio.sources.foreign.records import Foreign, said
 from vio.sources.live.imu import body_frd, unwrapped
 
 NAME = "imu_mavlink"

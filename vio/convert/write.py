@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from vio.convert.records import Foreign
 from vio.errors import LogError
-from vio.sources.foreign.records import Foreign
 
 if TYPE_CHECKING:
     from tagvo.camera.model import Camera
@@ -108,7 +108,7 @@ def write_flight_log(
 
 def write_bag(out: Path, found: Foreign, step: Step, stop: Stop) -> Written:
     """A ROS 2 bag (MCAP), in the order in which things arrived."""
-    from vio.sinks.bag import BagWriter
+    from vio.convert.bag_writer import BagWriter
 
     done = 0
     truth = found.truth
