@@ -22,8 +22,8 @@ from tagvo.textfile import read_yaml
 from vio.config import load_config
 from vio.convert.bag_writer import BagWriter
 from vio.convert.open import read_foreign
-from vio.mavlink.dialect import read_key
-from vio.mavlink.saved import load_saved
+from vio.mavlink.codec import read_key
+from vio.mavlink.persistent_state import load_saved
 from vio.records import ImuSample, Truth
 from vio.sinks.tum import read_tum
 from vio.sources.flight_log.files import (

@@ -10,8 +10,8 @@ from numpy import eye, zeros
 from vio.config.mavlink import MavlinkConfig
 from vio.filter.health import Health, Signs, State
 from vio.frames import FLIP
-from vio.mavlink.companion import Companion
-from vio.mavlink.dialect import MESSAGE_IDS, Codec
+from vio.mavlink.codec import MESSAGE_IDS, Codec
+from vio.mavlink.protocol import Companion
 from vio.records import Moment, NavState
 from vio.sources.live.imu import MavlinkImu
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from vio.clock import Asker, ClockTrack, Exchange, learn, stamp, to_ours, to_theirs
+from vio.mavlink.clock import Asker, ClockTrack, Exchange, learn, stamp, to_ours, to_theirs
 
 S, MS = 10**9, 10**6
 START = 5_000 * S  # their clock is not ours

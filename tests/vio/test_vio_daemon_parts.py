@@ -25,7 +25,7 @@ from vio.daemon.status import Rates, Status
 from vio.daemon.worker import Detection
 from vio.filter.health import Health, State
 from vio.localize.baselines import Output
-from vio.mavlink.fields import Outgoing
+from vio.mavlink.messages import Outgoing
 from vio.records import Ground, ImuSample, Moment, NavState
 from vio.sinks.log import LogWriter
 from vio.sources.flight_log.log import FlightLog

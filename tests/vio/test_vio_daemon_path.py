@@ -15,8 +15,8 @@ from vio.daemon.clock import FlightClock
 from vio.daemon.setup import SetupGuard
 from vio.filter.eskf import Estimator
 from vio.filter.health import State
-from vio.mavlink.companion import Companion
-from vio.mavlink.dialect import MESSAGE_IDS, Codec
+from vio.mavlink.codec import MESSAGE_IDS, Codec
+from vio.mavlink.protocol import Companion
 from vio.records import ImuSample
 from vio.setup_check.findings import Finding
 from vio.sim.inertial import PIXHAWK

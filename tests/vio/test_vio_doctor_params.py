@@ -9,7 +9,7 @@ from fc_vehicle import Vehicle
 from vio.doctor.check import names
 from vio.doctor.params import ParamReader, ParamWriter, decoded, encoded, took
 from vio.doctor.records import Change
-from vio.mavlink.dialect import Codec
+from vio.mavlink.codec import Codec
 
 STEP = 5_000_000
 S = 1_000_000_000

@@ -9,7 +9,7 @@ from fc_world import EPOCH, MS, S, World
 from pymavlink.dialects.v20 import ardupilotmega as m
 from scipy.spatial.transform import Rotation
 
-from vio.mavlink.dialect import Codec
+from vio.mavlink.codec import Codec
 from vio.sources.live.imu import MavlinkImu, body_frd, trap
 
 GYRO, FORCE = np.array([0.1, -0.25, 0.5]), np.array([0.5, -1.25, -9.75])  # body FRD

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from vio.config.mavlink import MavlinkConfig
 from vio.filter.health import State
-from vio.mavlink.companion import Companion
-from vio.mavlink.dialect import MESSAGE_IDS, Codec
+from vio.mavlink.codec import MESSAGE_IDS, Codec
+from vio.mavlink.protocol import Companion
 from vio.mavlink.resets import ResetCounter
 from vio.records import Moment, NavState
 
@@ -131,7 +131,7 @@ def test_it_asks_at_its_rate_and_learns_the_clock():
     w.run(6.0)
     asked = [t for t, message in w.sent if message.name == "TIMESYNC" and not message.fields["tc1"]]
     assert len(asked) == pytest.approx(60, abs=3)
-    from vio.clock import to_ours
+    from vio.mavlink.clock import to_ours
 
     for t in (5 * S, 6 * S):
         assert to_ours(w.companion.clock, w.fc.clock(t)) - EPOCH == pytest.approx(t, abs=2 * MS)

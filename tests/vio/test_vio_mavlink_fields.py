@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from vio.filter.health import Health, State
 from vio.frames import NedPose
-from vio.mavlink import fields
-from vio.mavlink.dialect import MESSAGE_IDS, Codec
+from vio.mavlink import messages
+from vio.mavlink.codec import MESSAGE_IDS, Codec
 
 RNG = np.random.default_rng(4)
 A = RNG.normal(size=(9, 9)) * 0.1
@@ -51,7 +51,7 @@ def test_the_numbers_are_mavlinks():
 
 
 def test_vision_position_estimate():
-    got = sent(fields.vision_position_estimate(T_NS, POSE, 9))
+    got = sent(messages.vision_position_estimate(T_NS, POSE, 9))
     assert got.usec == T_NS // 1000
     np.testing.assert_allclose([got.x, got.y, got.z], POSE.p_NB, rtol=1e-6)
     np.testing.assert_allclose([got.yaw, got.pitch, got.roll], [2.0, 0.3, -0.4], rtol=1e-6)
@@ -62,7 +62,7 @@ def test_vision_position_estimate():
 def test_variances_not_sigmas_and_at_their_places():
     sigma = np.array([0.01, 0.02, 0.03, 0.1, 0.2, 0.3])
     pose = NedPose(POSE.p_NB, POSE.R_NF, cov=np.diag(sigma**2))
-    got = sent(fields.vision_position_estimate(0, pose, 0)).covariance
+    got = sent(messages.vision_position_estimate(0, pose, 0)).covariance
     assert len(got) == 21
     np.testing.assert_allclose([got[k] for k in (0, 6, 11, 15, 18, 20)], sigma**2, rtol=1e-6)
 
@@ -71,18 +71,18 @@ def test_variances_not_sigmas_and_at_their_places():
 def test_a_covariance_that_is_not_known_is_21_times_nan(bad):
     pose = NedPose(POSE.p_NB, POSE.R_NF, cov=bad)
     for message in (
-        fields.vision_position_estimate(0, pose, 0).fields["covariance"],
-        fields.odometry(0, pose, 0, 1, 100).fields["pose_covariance"],
-        fields.odometry(0, pose, 0, 1, 100).fields["velocity_covariance"],
+        messages.vision_position_estimate(0, pose, 0).fields["covariance"],
+        messages.odometry(0, pose, 0, 1, 100).fields["pose_covariance"],
+        messages.odometry(0, pose, 0, 1, 100).fields["velocity_covariance"],
     ):
         assert len(message) == 21
         assert np.isnan(message).all()
-    got = sent(fields.vision_position_estimate(0, pose, 0))
+    got = sent(messages.vision_position_estimate(0, pose, 0))
     assert np.isnan(got.covariance).all()
 
 
 def test_odometry():
-    got = sent(fields.odometry(T_NS, POSE, 200, fields.LOCAL_NED, 100))
+    got = sent(messages.odometry(T_NS, POSE, 200, messages.LOCAL_NED, 100))
     assert (got.time_usec, got.frame_id, got.child_frame_id) == (T_NS // 1000, 1, 12)
     w, x, y, z = got.q
     assert abs(np.linalg.norm(np.float32(got.q)) - 1.0) < 1e-5
@@ -99,37 +99,37 @@ def test_odometry():
 
 def test_odometry_without_velocity_says_nan():
     still = NedPose(POSE.p_NB, POSE.R_NF)
-    got = sent(fields.odometry(T_NS, still, 0, fields.LOCAL_FRD, 100))
+    got = sent(messages.odometry(T_NS, still, 0, messages.LOCAL_FRD, 100))
     assert np.isnan([got.vx, got.vy, got.vz, got.rollspeed, got.pitchspeed, got.yawspeed]).all()
-    assert fields.vision_speed_estimate(0, still, 0) is None
+    assert messages.vision_speed_estimate(0, still, 0) is None
 
 
 def test_vision_speed_estimate():
-    got = sent(fields.vision_speed_estimate(T_NS, POSE, 3))
+    got = sent(messages.vision_speed_estimate(T_NS, POSE, 3))
     np.testing.assert_allclose([got.x, got.y, got.z], POSE.v_NB, rtol=1e-6)
     np.testing.assert_allclose(np.reshape(got.covariance, (3, 3)), COV[6:, 6:], rtol=1e-5)
     assert (got.usec, got.reset_counter) == (T_NS // 1000, 3)
 
 
 def test_each_family_gets_the_frame_that_it_takes():
-    assert fields.odometry_frame(m.MAV_AUTOPILOT_ARDUPILOTMEGA) == 20
-    assert fields.odometry_frame(m.MAV_AUTOPILOT_PX4) == 1
+    assert messages.odometry_frame(m.MAV_AUTOPILOT_ARDUPILOTMEGA) == 20
+    assert messages.odometry_frame(m.MAV_AUTOPILOT_PX4) == 1
 
 
 def test_heartbeat_and_what_it_says():
-    got = sent(fields.heartbeat(fields.ACTIVE))
+    got = sent(messages.heartbeat(messages.ACTIVE))
     assert (got.type, got.autopilot, got.system_status) == (18, 8, 4)
-    health = {s: fields.system_status(Health(s, (), None, 0)) for s in State}
+    health = {s: messages.system_status(Health(s, (), None, 0)) for s in State}
     assert health == {
         State.INIT: 1, State.TRACKING: 4, State.COASTING: 5, State.RELOCATING: 5, State.LOST: 8,
     }  # fmt: skip
-    assert fields.system_status(None) == 1
+    assert messages.system_status(None) == 1
 
 
 @pytest.mark.parametrize("length", [0, 1, 49, 50, 51, 99, 100, 101, 150])
 def test_texts_come_whole_out_of_their_chunks(length):
     text = "".join(chr(97 + k % 26) for k in range(length))
-    got = [sent(one) for one in fields.statustext(text, 6, 31)]
+    got = [sent(one) for one in messages.statustext(text, 6, 31)]
     assert "".join(one.text for one in got) == text
     assert all(len(one.text) <= 50 for one in got)
     assert [one.chunk_seq for one in got] == list(range(len(got)))
@@ -143,17 +143,17 @@ def test_texts_come_whole_out_of_their_chunks(length):
 
 
 def test_letters_that_mavlink_has_not_do_not_break_a_text():
-    (got,) = (sent(one) for one in fields.statustext("3° off", 4, 1))
+    (got,) = (sent(one) for one in messages.statustext("3° off", 4, 1))
     assert got.text == "3? off"
 
 
 def test_origin_and_commands():
-    got = sent(fields.set_gps_global_origin(7, 47.397742, -8.545594, 488.0))
+    got = sent(messages.set_gps_global_origin(7, 47.397742, -8.545594, 488.0))
     assert (got.target_system, got.latitude, got.longitude, got.altitude) == (
         7, 473977420, -85455940, 488000,
     )  # fmt: skip
-    got = sent(fields.command(7, 511, 105, 5000))
+    got = sent(messages.command(7, 511, 105, 5000))
     assert (got.target_system, got.target_component, got.command) == (7, 1, 511)
     assert [got.param1, got.param2, got.param3, got.param7] == [105, 5000, 0, 0]
-    got = sent(fields.timesync(-5, 2**62))
+    got = sent(messages.timesync(-5, 2**62))
     assert (got.ts1, got.tc1) == (-5, 2**62)

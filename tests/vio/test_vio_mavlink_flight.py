@@ -8,8 +8,8 @@ from test_vio_mavlink_companion import beat
 from tagvo.records import PoseMeasurement
 from vio.config.filter import VioConfig
 from vio.config.mavlink import MavlinkConfig
-from vio.mavlink.companion import Companion
-from vio.mavlink.dialect import MESSAGE_IDS
+from vio.mavlink.codec import MESSAGE_IDS
+from vio.mavlink.protocol import Companion
 from vio.sim.inertial import PIXHAWK
 
 HEADING = 60.0

@@ -19,9 +19,9 @@ from vio.errors import LinkError
 from vio.mavlink import bridge as bridge_module
 from vio.mavlink import transport
 from vio.mavlink.bridge import Bridge, now_ns
-from vio.mavlink.saved import Saved, first_counter, load_saved, save
+from vio.mavlink.endpoint import Address, check_baud, parse_url
+from vio.mavlink.persistent_state import Saved, first_counter, load_saved, save
 from vio.mavlink.transport import TcpClient, UdpSocket, open_transport
-from vio.mavlink.url import Address, check_baud, parse_url
 from vio.records import Moment, NavState
 from vio.sources.live.imu import MavlinkImu
 

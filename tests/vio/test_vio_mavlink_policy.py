@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vio.filter.health import State
-from vio.mavlink.policy import Rules, SendPolicy, Verdict
+from vio.mavlink.send_policy import Rules, SendPolicy, Verdict
 
 MS, S = 10**6, 10**9
 

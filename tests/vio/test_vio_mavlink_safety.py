@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 from vio.config.filter import HealthConfig
 from vio.config.mavlink import MavlinkConfig
 from vio.filter.health import State
-from vio.mavlink.companion import Companion
-from vio.mavlink.dialect import MESSAGE_IDS, Codec
-from vio.mavlink.policy import Rules, SendPolicy, Verdict
+from vio.mavlink.codec import MESSAGE_IDS, Codec
+from vio.mavlink.protocol import Companion
 from vio.mavlink.resets import ResetCounter
+from vio.mavlink.send_policy import Rules, SendPolicy, Verdict
 from vio.records import Moment, NavState
 
 VISION = "VISION_POSITION_ESTIMATE"

@@ -16,7 +16,7 @@ from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError
 from vio.mavlink.binding import Binding, Claim
 from vio.mavlink.bridge import Bridge, now_ns
-from vio.mavlink.dialect import Codec, mavlink
+from vio.mavlink.codec import Codec, mavlink
 from vio.mavlink.traffic import Traffic
 from vio.mavlink.vehicle import Vehicle
 from vio.records import Moment, NavState

@@ -10,7 +10,7 @@ from vio.filter.health import State
 from vio.mavlink import bridge as edge
 from vio.mavlink.belief import Belief
 from vio.mavlink.bridge import Bridge
-from vio.mavlink.dialect import Codec
+from vio.mavlink.codec import Codec
 from vio.records import Moment, NavState
 
 VISION = "VISION_POSITION_ESTIMATE"

@@ -26,7 +26,7 @@ from vio.convert.images import picture
 from vio.convert.link_messages import calibration
 from vio.convert.topics import IMAGE, Topic, choose, is_rectified
 from vio.errors import LogError
-from vio.mavlink.saved import Saved, load_saved
+from vio.mavlink.persistent_state import Saved, load_saved
 from vio.records import ImuTrack
 from vio.setup_check.unmapped_tags import UnmappedTags
 from vio.sinks.log import LogWriter

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vio.mavlink.fields import Outgoing
+from vio.mavlink.messages import Outgoing
 
 _POSES = {"VISION_POSITION_ESTIMATE": "usec", "ODOMETRY": "time_usec"}
 _KEEP = 4096

@@ -21,7 +21,7 @@ from tagvo.records import Frame
 from vio.config.daemon import RecordConfig
 from vio.filter.health import Health
 from vio.localize.baselines import Output
-from vio.mavlink.fields import Outgoing
+from vio.mavlink.messages import Outgoing
 from vio.records import Ground, ImuSample
 from vio.sinks.log import LogWriter
 from vio.sinks.tum import tum_line

@@ -3,7 +3,7 @@
 from vio.doctor.records import Facts, Severity
 from vio.doctor.rules import ParamRule, at_least, at_most, one_of
 from vio.doctor.sets import shipped
-from vio.mavlink.fields import ARDUPILOT
+from vio.mavlink.messages import ARDUPILOT
 
 E, W, I = Severity.ERROR, Severity.WARNING, Severity.INFO  # noqa: E741
 LAG_HZ = 80.0  # low-passes from which on the IMU lags by 3 ms; 11.5 ms at the default of 20 Hz

@@ -2,7 +2,7 @@
 
 from vio.doctor import ardupilot, delay, link, ports, px4, rules, state
 from vio.doctor.records import Facts, Finding, Severity
-from vio.mavlink.fields import ARDUPILOT
+from vio.mavlink.messages import ARDUPILOT
 
 _ORDER = list(Severity)
 # what follows where an autopilot drops all of ours: the one word on signing says it better

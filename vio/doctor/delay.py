@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 from vio.doctor.records import Change, Facts, Finding, Severity
-from vio.mavlink.fields import ARDUPILOT
 from vio.mavlink.latency import AgeMeter, Ages, delay_advice
+from vio.mavlink.messages import ARDUPILOT
 
 NAMES = {True: "VISO_DELAY_MS", False: "EKF2_EV_DELAY"}
 _OFF_MS = 15.0  # 80 ms off cost a factor of two to three in flight; below this nothing is seen

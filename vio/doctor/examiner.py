@@ -5,14 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from vio.clock import to_ours
 from vio.config.mavlink import MavlinkConfig
 from vio.doctor.check import names
 from vio.doctor.params import ParamReader
 from vio.doctor.records import Facts, VisionSeen
 from vio.mavlink.belief import BeliefCheck, sent_pose
-from vio.mavlink.companion import Companion
-from vio.mavlink.fields import (
+from vio.mavlink.clock import to_ours
+from vio.mavlink.messages import (
     ARDUPILOT,
     AUTOPILOT_COMPONENT,
     GPS_GLOBAL_ORIGIN_ID,
@@ -21,6 +20,7 @@ from vio.mavlink.fields import (
     Outgoing,
     command,
 )
+from vio.mavlink.protocol import Companion
 
 _SECOND = 1_000_000_000
 _HOME_ID, _EKF_STATUS_ID, _ESTIMATOR_STATUS_ID, _ODOMETRY = 242, 193, 230, "ODOMETRY"

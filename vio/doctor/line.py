@@ -13,8 +13,8 @@ from vio.doctor.records import Change, Facts
 from vio.doctor.walk import Walk
 from vio.errors import LinkError
 from vio.mavlink.bridge import Bridge, now_ns
-from vio.mavlink.fields import Outgoing
-from vio.mavlink.url import check_baud, parse_url
+from vio.mavlink.endpoint import check_baud, parse_url
+from vio.mavlink.messages import Outgoing
 
 _TURN_S = 0.01
 _REST_NS, _MOST_REST_NS = 1_000_000_000, 5_000_000_000

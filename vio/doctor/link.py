@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from vio.doctor.records import Change, Facts, Finding, Severity
-from vio.mavlink.fields import ARDUPILOT, PX4
+from vio.mavlink.messages import ARDUPILOT, PX4
 
 E, W, I = Severity.ERROR, Severity.WARNING, Severity.INFO  # noqa: E741
 CONVERGES = 500  # answers after which PX4 believes its TIMESYNC, ten a second

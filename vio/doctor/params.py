@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from vio.doctor.records import Change
-from vio.mavlink.fields import AUTOPILOT_COMPONENT, PX4, Outgoing
+from vio.mavlink.messages import AUTOPILOT_COMPONENT, PX4, Outgoing
 
 REAL32 = 9  # MAV_PARAM_TYPE
 _INTEGERS = {1: "<Bxxx", 2: "<bxxx", 3: "<Hxx", 4: "<hxx", 5: "<I", 6: "<i"}

@@ -2,8 +2,8 @@
 
 from vio.doctor import ardupilot, px4
 from vio.doctor.records import Change, Facts, Finding, Severity
-from vio.mavlink.fields import ARDUPILOT
-from vio.mavlink.url import needed_baud, parse_url
+from vio.mavlink.endpoint import needed_baud, parse_url
+from vio.mavlink.messages import ARDUPILOT
 
 E, W, I = Severity.ERROR, Severity.WARNING, Severity.INFO  # noqa: E741
 _MAVLINK = (1, 2)  # SERIALn_PROTOCOL

@@ -3,7 +3,7 @@
 from vio.doctor.records import Facts, Severity
 from vio.doctor.rules import ParamRule, at_most, bits, one_of
 from vio.doctor.sets import shipped
-from vio.mavlink.fields import PX4
+from vio.mavlink.messages import PX4
 
 E, W, I = Severity.ERROR, Severity.WARNING, Severity.INFO  # noqa: E741
 _COAST_QUALITY = 30.0

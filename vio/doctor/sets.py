@@ -4,7 +4,7 @@ from functools import cache
 
 from vio.config.shipped import config_path
 from vio.errors import VioError
-from vio.mavlink.fields import ARDUPILOT
+from vio.mavlink.messages import ARDUPILOT
 
 _FILES = {True: "autopilot/ardupilot.parm", False: "autopilot/px4.params"}
 

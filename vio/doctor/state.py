@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from vio.doctor.records import Facts, Finding, Severity
-from vio.mavlink.fields import ARDUPILOT, BODY_FRD, LOCAL_FRD, PX4
+from vio.mavlink.messages import ARDUPILOT, BODY_FRD, LOCAL_FRD, PX4
 from vio.sources.live.imu import trap
 
 E, W, I = Severity.ERROR, Severity.WARNING, Severity.INFO  # noqa: E741

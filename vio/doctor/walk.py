@@ -7,7 +7,7 @@ import numpy as np
 
 from vio.doctor.records import Finding
 from vio.doctor.wiggle import Rest, Step, judge, rest
-from vio.mavlink.fields import AUTOPILOT_COMPONENT, SET_MESSAGE_INTERVAL, Outgoing, command
+from vio.mavlink.messages import AUTOPILOT_COMPONENT, SET_MESSAGE_INTERVAL, Outgoing, command
 from vio.mavlink.vehicle import Vehicle
 
 _ATTITUDE_ID, _LOCAL_POSITION_ID, _INTERVAL_US = 30, 32, 50_000

@@ -19,13 +19,13 @@ from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError
 from vio.filter.health import Health
 from vio.mavlink.binding import Binding, Claim
-from vio.mavlink.companion import Companion
-from vio.mavlink.dialect import MESSAGE_IDS, Codec, read_key
-from vio.mavlink.fields import INFO, WARNING, Outgoing
-from vio.mavlink.saved import Saved, first_counter, load_saved, save
+from vio.mavlink.codec import MESSAGE_IDS, Codec, read_key
+from vio.mavlink.endpoint import check_baud, parse_url
+from vio.mavlink.messages import INFO, WARNING, Outgoing
+from vio.mavlink.persistent_state import Saved, first_counter, load_saved, save
+from vio.mavlink.protocol import Companion
 from vio.mavlink.traffic import Traffic
 from vio.mavlink.transport import Peer, Transport, open_transport
-from vio.mavlink.url import check_baud, parse_url
 from vio.mavlink.vehicle import NAMES, is_vehicle
 from vio.records import Moment
 

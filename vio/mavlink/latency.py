@@ -3,7 +3,7 @@
 from collections import deque
 from dataclasses import dataclass
 
-from vio.mavlink.fields import ARDUPILOT
+from vio.mavlink.messages import ARDUPILOT
 
 _KEEP = 1000
 

@@ -4,7 +4,7 @@ import logging
 from typing import Any
 
 from vio.config.mavlink import OriginConfig
-from vio.mavlink.fields import (
+from vio.mavlink.messages import (
     ARDUPILOT,
     GPS_GLOBAL_ORIGIN_ID,
     PX4,

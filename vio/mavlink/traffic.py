@@ -3,7 +3,7 @@
 import logging
 from typing import Any
 
-from vio.mavlink.fields import ONBOARD_CONTROLLER
+from vio.mavlink.messages import ONBOARD_CONTROLLER
 
 LOG = logging.getLogger("vio.mavlink")
 _MOST = 5  # senders that are named

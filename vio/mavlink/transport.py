@@ -11,7 +11,7 @@ import tty
 from typing import Protocol
 
 from vio.errors import LinkError
-from vio.mavlink.url import Address
+from vio.mavlink.endpoint import Address
 
 Peer = tuple[str, int] | None
 _MOST = 65536

@@ -5,7 +5,7 @@ from typing import Any
 
 from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError
-from vio.mavlink.fields import ARDUPILOT, AUTOPILOT_COMPONENT, NO_AUTOPILOT, PX4
+from vio.mavlink.messages import ARDUPILOT, AUTOPILOT_COMPONENT, NO_AUTOPILOT, PX4
 
 LOG = logging.getLogger("vio.mavlink")
 NAMES = {ARDUPILOT: "ArduPilot", PX4: "PX4"}

@@ -9,11 +9,11 @@ from vio.config.mavlink import ImuLinkConfig, MavlinkConfig
 from vio.errors import LinkError
 from vio.filter.health import Health
 from vio.frames import ned_from_level
-from vio.mavlink.companion import Companion
-from vio.mavlink.dialect import MESSAGE_IDS, Codec
-from vio.mavlink.fields import SET_MESSAGE_INTERVAL, Outgoing, command
+from vio.mavlink.codec import MESSAGE_IDS, Codec
+from vio.mavlink.endpoint import parse_url
+from vio.mavlink.messages import SET_MESSAGE_INTERVAL, Outgoing, command
+from vio.mavlink.protocol import Companion
 from vio.mavlink.transport import Transport, open_transport
-from vio.mavlink.url import parse_url
 from vio.records import Moment
 from vio.sitl.estimate import Said, Sent
 

@@ -15,8 +15,8 @@ from tagvo import geometry as geo
 from tagvo.geometry import Array
 from vio.config.mavlink import OriginConfig
 from vio.errors import LinkError
-from vio.mavlink.dialect import Codec
-from vio.mavlink.fields import Outgoing
+from vio.mavlink.codec import Codec
+from vio.mavlink.messages import Outgoing
 from vio.sitl.records import SimState
 
 PORT = 4560

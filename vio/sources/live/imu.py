@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from tagvo.geometry import Array
-from vio.clock import Stamped, stamp, to_theirs
 from vio.frames import FLIP
-from vio.mavlink.companion import Companion
-from vio.mavlink.fields import ARDUPILOT, PX4
+from vio.mavlink.clock import Stamped, stamp, to_theirs
+from vio.mavlink.messages import ARDUPILOT, PX4
+from vio.mavlink.protocol import Companion
 from vio.records import ImuSample
 
 LOG = logging.getLogger("vio.sources.live_imu")

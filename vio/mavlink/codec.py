@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from tagvo.textfile import read_text
 from vio.errors import LinkError
-from vio.mavlink.fields import Outgoing
+from vio.mavlink.messages import Outgoing
 
 MESSAGE_IDS: dict[str, int] = {m.msgname: i for i, m in mavlink.mavlink_map.items()}
 

@@ -3,7 +3,7 @@
 import logging
 from collections import deque
 
-from vio.mavlink.fields import PX4, SET_MESSAGE_INTERVAL, Outgoing, command
+from vio.mavlink.messages import PX4, SET_MESSAGE_INTERVAL, Outgoing, command
 from vio.mavlink.vehicle import Vehicle
 
 LOG = logging.getLogger("vio.mavlink")

@@ -11,22 +11,22 @@ from typing import Any
 import numpy as np
 
 from tagvo.geometry import Array
-from vio.clock import Asker, ClockTrack, learn, to_ours
 from vio.config.filter import HealthConfig
 from vio.config.mavlink import MavlinkConfig
 from vio.filter.health import Health
 from vio.frames import Alignment, NedPose, largest_sigmas, to_ned
-from vio.mavlink import fields
+from vio.mavlink import messages
 from vio.mavlink.belief import BeliefCheck, sent_pose
-from vio.mavlink.fields import Outgoing
+from vio.mavlink.clock import Asker, ClockTrack, learn, to_ours
 from vio.mavlink.heading import Heading
 from vio.mavlink.latency import AgeMeter, delay_advice
+from vio.mavlink.message_rates import StreamRequest
+from vio.mavlink.messages import Outgoing
 from vio.mavlink.origin import OriginKeeper
-from vio.mavlink.policy import Rules, SendPolicy, Verdict
 from vio.mavlink.resets import ResetCounter
-from vio.mavlink.streams import StreamRequest
+from vio.mavlink.send_policy import Rules, SendPolicy, Verdict
+from vio.mavlink.status_text import Speaker
 from vio.mavlink.vehicle import Vehicle
-from vio.mavlink.words import Speaker
 from vio.records import Moment
 
 LOG = logging.getLogger("vio.mavlink")
@@ -93,7 +93,7 @@ class Companion:
         """Take a decoded message that arrived at now_ns."""
         name = message.get_type()
         if name == "HEARTBEAT" and self.vehicle.heartbeat(message, now_ns):
-            self._speaker.say(f"connected to {self.vehicle.name}", fields.INFO)
+            self._speaker.say(f"connected to {self.vehicle.name}", messages.INFO)
         if not self.vehicle.is_mine(message):
             return []
         if self._frame_ns is not None and now_ns - self._frame_ns > _SILENT_NS:
@@ -113,7 +113,7 @@ class Companion:
             self.origin.heard(message)
         elif name == "SYSTEM_TIME":
             self._up_for("SYSTEM_TIME", message.time_boot_ms * 1_000_000, now_ns)
-        elif name == "COMMAND_ACK" and message.command == fields.SET_MESSAGE_INTERVAL:
+        elif name == "COMMAND_ACK" and message.command == messages.SET_MESSAGE_INTERVAL:
             if self._waits_for is not None:
                 self._waits_for.acknowledged(message.result)
             self._waits_for = None
@@ -122,7 +122,7 @@ class Companion:
     def _timesync(self, message: Any, now_ns: int) -> list[Outgoing]:
         if message.tc1 == 0:
             self.counters["timesync_answered"] += 1
-            return [fields.timesync(message.ts1, now_ns)]
+            return [messages.timesync(message.ts1, now_ns)]
         exchange = self.asker.answered(message.ts1, message.tc1, now_ns)
         if exchange is None:
             self.counters["timesync_of_others"] += 1
@@ -199,13 +199,13 @@ class Companion:
             out += [] if late else waited
         if now_ns - self._heartbeat_ns >= _SECOND:
             self._heartbeat_ns = now_ns
-            out.append(fields.heartbeat(self._status(now_ns)))
+            out.append(messages.heartbeat(self._status(now_ns)))
         asks = now_ns - self._asked_ns >= self._ask_every
         self._asked_ns = now_ns if asks else self._asked_ns
         if not self.vehicle.alive(now_ns):
             return out
         if asks:
-            out.append(fields.timesync(self.asker.ask(now_ns), 0))
+            out.append(messages.timesync(self.asker.ask(now_ns), 0))
         self._look_at_signing(now_ns)
         out += self.origin.due(self.vehicle, now_ns)
         out += self._stream_questions(now_ns)
@@ -229,19 +229,21 @@ class Companion:
 
     def _status(self, now_ns: int) -> int:
         mute = self._health is not None and now_ns - self._offered_ns > _MUTE_NS
-        return fields.CRITICAL if mute else fields.system_status(self._health, bool(self.alarms))
+        return (
+            messages.CRITICAL if mute else messages.system_status(self._health, bool(self.alarms))
+        )
 
     def alarm(self, name: str, text: str | None) -> None:
         """Set an alarm, or clear it (None); while one is set HEARTBEAT is critical."""
         if text is None:
             if self.alarms.pop(name, None) is not None:
                 LOG.warning("%s: well again", name)
-                self.say(f"{name}: well again", fields.INFO)
+                self.say(f"{name}: well again", messages.INFO)
         elif self.alarms.get(name) != text:
             self.counters[f"alarm_{name}"] += name not in self.alarms
             self.alarms[name] = text
             LOG.warning("%s: %s", name, text)
-            self.say(text, fields.ERROR)
+            self.say(text, messages.ERROR)
 
     def _look_at_signing(self, now_ns: int) -> None:
         since = self._signs_since_ns
@@ -267,7 +269,7 @@ class Companion:
 
     def farewell(self) -> list[Outgoing]:
         """The last words."""
-        return self._speaker.at_once("stopped: no more poses", fields.WARNING)
+        return self._speaker.at_once("stopped: no more poses", messages.WARNING)
 
     # what the filter says
 
@@ -311,7 +313,7 @@ class Companion:
         )
         if verdict is Verdict.COASTED and not self._withheld:
             self._withheld = True
-            self._speaker.say("has coasted long enough: pose withheld", fields.WARNING)
+            self._speaker.say("has coasted long enough: pose withheld", messages.WARNING)
         if verdict is not Verdict.SEND or pose is None:
             return []
         self._withheld = False
@@ -343,10 +345,10 @@ class Companion:
     def _messages(self, t_ns: int, pose: NedPose, health: Health) -> list[Outgoing]:
         counter = self.resets.value
         if self.config.message == "ODOMETRY":
-            frame = fields.odometry_frame(self.vehicle.autopilot or 0)
-            return [fields.odometry(t_ns, pose, counter, frame, fields.quality(health))]
-        out = [fields.vision_position_estimate(t_ns, pose, counter)]
-        speed = fields.vision_speed_estimate(t_ns, pose, counter) if self.config.speed else None
+            frame = messages.odometry_frame(self.vehicle.autopilot or 0)
+            return [messages.odometry(t_ns, pose, counter, frame, messages.quality(health))]
+        out = [messages.vision_position_estimate(t_ns, pose, counter)]
+        speed = messages.vision_speed_estimate(t_ns, pose, counter) if self.config.speed else None
         return out if speed is None else [*out, speed]
 
     # what there is to know

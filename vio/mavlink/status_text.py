@@ -1,7 +1,7 @@
 """What the ground station reads: changes of state in plain words, no more than one a second."""
 
 from vio.filter.health import Health, State
-from vio.mavlink.fields import INFO, WARNING, Outgoing, statustext
+from vio.mavlink.messages import INFO, WARNING, Outgoing, statustext
 from vio.setup_check.findings import SHORT
 
 _APART_NS = 1_000_000_000
