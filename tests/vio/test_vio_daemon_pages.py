@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from vio.daemon.pages import clean_spans, give_back
+from vio.daemon.memory import clean_spans, give_back
 
 SMAPS = """\
 1000-3000 r-xp 00000000 08:01 7    /opt/lib/libllvmlite.so
@@ -43,7 +43,7 @@ def test_only_clean_pages_of_the_named_file_are_given_back():
 def test_the_compiler_still_compiles_after_its_pages_were_given_back():
     code = """
 import numba
-from vio.daemon.pages import give_back
+from vio.daemon.memory import give_back
 from vio.localize.stopwatch import resident_mb
 twice = numba.njit(lambda x: 2 * x)
 assert twice(2) == 4

@@ -16,13 +16,13 @@ from tagvo.records import Detections, Frame
 from vio.config.daemon import RecordConfig
 from vio.config.filter import VioConfig
 from vio.daemon.clock import FlightClock
-from vio.daemon.ground import GroundJudge
-from vio.daemon.meter import Meter
-from vio.daemon.notify import Systemd
-from vio.daemon.prepare import _names
+from vio.daemon.detection_threads import Detection
+from vio.daemon.ground_detector import GroundJudge
+from vio.daemon.latency_meter import Meter
+from vio.daemon.preflight import _names
 from vio.daemon.recorder import Recorder
 from vio.daemon.status import Rates, Status
-from vio.daemon.worker import Detection
+from vio.daemon.systemd import Systemd
 from vio.filter.health import Health, State
 from vio.localize.baselines import Output
 from vio.mavlink.messages import Outgoing

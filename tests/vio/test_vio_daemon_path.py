@@ -10,9 +10,9 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 from tagvo.records import Frame
 from vio.config.filter import VioConfig
 from vio.config.mavlink import MavlinkConfig
-from vio.daemon.arm import FlightArm
 from vio.daemon.clock import FlightClock
-from vio.daemon.setup import SetupGuard
+from vio.daemon.publisher import FlightArm
+from vio.daemon.setup_guard import SetupGuard
 from vio.filter.eskf import Estimator
 from vio.filter.health import State
 from vio.mavlink.codec import MESSAGE_IDS, Codec

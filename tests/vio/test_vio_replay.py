@@ -194,7 +194,7 @@ def test_a_log_without_imu_cannot_be_flown(flying, tmp_path):
 
 
 def test_nobody_at_the_other_end_is_one_line(flying, tmp_path, monkeypatch):
-    monkeypatch.setattr("vio.daemon.fly._REPLAY_WAIT_S", 0.5)
+    monkeypatch.setattr("vio.daemon.main._REPLAY_WAIT_S", 0.5)
     words = ["replay", str(flying), "--connect", f"udpin:127.0.0.1:{free_port()}",
              "--set", f"mavlink.state_file={tmp_path / 's.json'}"]  # fmt: skip
     one_line(call_main(*words), "no heartbeat of an autopilot in")

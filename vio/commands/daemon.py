@@ -26,14 +26,14 @@ def command(
     figures. tools/tagvio.service runs it under systemd.
     """
     from vio.config import load_config
-    from vio.daemon import fly
+    from vio.daemon import main
     from vio.interrupt import gently
 
     start_log()
     loaded = load_config(config, assignments or ())
     if check:
-        parts, _, open_it = fly.check(loaded, config)
-        for text in (*parts.camera.notes, *fly.tags_in_sight(parts, open_it)):
+        parts, _, open_it = main.check(loaded, config)
+        for text in (*parts.camera.notes, *main.tags_in_sight(parts, open_it)):
             typer.echo(f"warning: {text}", err=True)
         typer.echo(f"{config}: all is there; nothing was sent")
         return
@@ -41,7 +41,7 @@ def command(
     before = signal.signal(signal.SIGTERM, lambda number, frame: ended.set())
     try:
         with gently() as asked:
-            result = fly.fly(loaded, config, lambda: ended.is_set() or asked())
+            result = main.fly(loaded, config, lambda: ended.is_set() or asked())
             interrupted = asked()
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -8,7 +8,7 @@ import typer
 from vio.commands import options as opt
 
 if TYPE_CHECKING:
-    from vio.daemon.fly import Replayed
+    from vio.daemon.main import Replayed
 
 
 def command(
@@ -54,7 +54,7 @@ def command(
     from vio.commands.daemon import start_log
     from vio.commands.options import progress
     from vio.config import load_config
-    from vio.daemon import fly
+    from vio.daemon import main
     from vio.interrupt import gently
     from vio.sources.flight_log.log import FlightLog
 
@@ -63,7 +63,7 @@ def command(
     assigned = (*(assignments or ()), f"mavlink.url={connect}")
     loaded = load_config(config or opened.config_path, assigned)
     with progress(opened.frame_count, "frames") as step, gently() as stop:
-        done = fly.replay(opened, loaded, speed, stop, step)
+        done = main.replay(opened, loaded, speed, stop, step)
         interrupted = stop()
     for text in opened.warnings:
         typer.echo(f"warning: {text}", err=True)

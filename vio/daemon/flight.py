@@ -10,15 +10,15 @@ from typing import Any
 
 from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Frame, PosePrior
-from vio.daemon.arm import FlightArm
 from vio.daemon.clock import FlightClock
-from vio.daemon.meter import Meter
-from vio.daemon.notify import Systemd
-from vio.daemon.prepare import Parts
+from vio.daemon.detection_threads import Detection
+from vio.daemon.latency_meter import Meter
+from vio.daemon.preflight import Parts
+from vio.daemon.publisher import FlightArm
 from vio.daemon.recorder import Recorder
-from vio.daemon.setup import SetupGuard
+from vio.daemon.setup_guard import SetupGuard
 from vio.daemon.status import Rates, Status, cpu_by_thread
-from vio.daemon.worker import Detection
+from vio.daemon.systemd import Systemd
 from vio.filter import eskf as flt
 from vio.localize.baselines import VoArm
 from vio.localize.run import RunResult, Sink, run

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tagvo.textfile import write_atomic
-from vio.daemon.notify import Systemd
+from vio.daemon.systemd import Systemd
 
 LOG = logging.getLogger("vio.daemon")
 _EVERY_S = 1.0

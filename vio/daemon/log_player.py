@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from tagvo.records import Frame
 from vio.daemon.clock import FlightClock
-from vio.daemon.meter import Meter
+from vio.daemon.latency_meter import Meter
 from vio.sources.flight_log.log import Event, FlightLog
 from vio.sources.live.camera import Latest
 from vio.sources.live.events import LiveEvents

@@ -18,11 +18,10 @@ from tagvo.records import Frame
 from vio.config import Config
 from vio.daemon.clock import FlightClock
 from vio.daemon.flight import Counters, Flight, start_status
-from vio.daemon.ground import GroundJudge
-from vio.daemon.notify import Systemd
-from vio.daemon.pages import give_back
-from vio.daemon.player import Player
-from vio.daemon.prepare import (
+from vio.daemon.ground_detector import GroundJudge
+from vio.daemon.log_player import Player
+from vio.daemon.memory import give_back
+from vio.daemon.preflight import (
     Parts,
     check_recording,
     imu_in_body,
@@ -30,6 +29,7 @@ from vio.daemon.prepare import (
     read_parts,
 )
 from vio.daemon.recorder import Recorder
+from vio.daemon.systemd import Systemd
 from vio.errors import LinkError, LogError, VioError
 from vio.localize.run import RunResult
 from vio.localize.warmup import warm_all
