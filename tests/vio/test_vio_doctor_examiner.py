@@ -8,9 +8,9 @@ from fc_vehicle import Vehicle
 from fc_world import EPOCH, World, moments
 from pymavlink.dialects.v20 import ardupilotmega as m
 
-from vio.doctor.check import check
-from vio.doctor.examiner import Examiner
-from vio.doctor.walk import FC, SENT, Walk
+from vio.doctor.checks import check
+from vio.doctor.collect import Examiner
+from vio.doctor.hand_test_data import FC, SENT, Walk
 
 S = 1_000_000_000
 

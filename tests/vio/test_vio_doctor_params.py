@@ -6,7 +6,7 @@ from fc_ardupilot import ArduPilot
 from fc_px4 import Px4
 from fc_vehicle import Vehicle
 
-from vio.doctor.check import names
+from vio.doctor.checks import names
 from vio.doctor.params import ParamReader, ParamWriter, decoded, encoded, took
 from vio.doctor.records import Change
 from vio.mavlink.codec import Codec

@@ -6,10 +6,10 @@ import pytest
 from fc_params import ARDUPILOT, PX4
 
 from vio.config.mavlink import MavlinkConfig
-from vio.doctor import check as doctor
-from vio.doctor.delay import delay, words
+from vio.doctor import checks as doctor
+from vio.doctor.parameter_sets import shipped
 from vio.doctor.records import Facts, Severity, VisionSeen
-from vio.doctor.sets import shipped
+from vio.doctor.rules.delay import delay, words
 
 AP, PX = 3, 12
 GOOD = {AP: {n: v for n, (v, _) in ARDUPILOT.items()}, PX: {n: v for n, (v, _) in PX4.items()}}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from vio.doctor.wiggle import Rest, Step, judge, rest
+from vio.doctor.hand_test import Rest, Step, judge, rest
 
 HEADINGS = [0.0, 37.0, 60.0, 90.0, 135.0, 200.0, 300.0]
 

@@ -11,8 +11,8 @@ from vio.commands import options as opt
 
 if TYPE_CHECKING:
     from vio.config.mavlink import MavlinkConfig
-    from vio.doctor.line import Line
     from vio.doctor.records import Change, Facts, Finding
+    from vio.doctor.session import Line
 
 _HEARTBEAT_S = 10.0
 Url = Annotated[
@@ -57,8 +57,8 @@ def command(
     error.
     """  # fmt: skip
     from vio.config import load_config
-    from vio.doctor.check import failed
-    from vio.doctor.line import Line
+    from vio.doctor.checks import failed
+    from vio.doctor.session import Line
 
     words = [*(assignments or ()), f"mavlink.url={url}"]
     settings: MavlinkConfig = load_config(config, words).mavlink
@@ -97,25 +97,25 @@ def _examine(
     line: "Line", url: str, seconds: float, fix: bool, yes: bool, wiggle: bool
 ) -> "tuple[list[Finding], dict[str, object]]":
     """Do all that was asked for; the findings that remain, and what goes into the JSON file."""
-    from vio.doctor import show
-    from vio.doctor.check import check
+    from vio.doctor import render
+    from vio.doctor.checks import check
 
     with opt.waiting(f"waiting for a heartbeat at {url}"):
         who = line.connect(_HEARTBEAT_S)
     with opt.waiting(f"{who}: listening for {seconds:g} s"):
         facts, kinds = line.examine(seconds)
     findings = check(facts)
-    typer.echo(f"{who}, {'armed' if facts.armed else 'disarmed'}: {show.counts_text(findings)}")
-    typer.echo(show.measured_text(facts))
+    typer.echo(f"{who}, {'armed' if facts.armed else 'disarmed'}: {render.counts_text(findings)}")
+    typer.echo(render.measured_text(facts))
     if findings:
-        typer.echo(show.findings_text(findings))
+        typer.echo(render.findings_text(findings))
     written: list[dict[str, object]] = []
     if fix:
         facts, written = _fix(line, facts, findings, kinds, yes)
         findings = check(facts)
     if wiggle:
         findings = [*findings, *_wiggle(line)]
-    return findings, {"vehicle": who, **show.content(facts, findings), "written": written}
+    return findings, {"vehicle": who, **render.content(facts, findings), "written": written}
 
 
 def _fix(
@@ -156,8 +156,8 @@ def _fix(
 
 def _wiggle(line: "Line") -> "list[Finding]":
     """Have the vehicle moved by hand; what its axes look like."""
-    from vio.doctor import show
-    from vio.doctor.wiggle import ORDERS
+    from vio.doctor import render
+    from vio.doctor.hand_test import ORDERS
 
     typer.echo("Disarmed, propellers off, the daemon sending. Five steps; be still after each.")
     walk = line.walk()
@@ -166,5 +166,5 @@ def _wiggle(line: "Line") -> "list[Finding]":
                      prompt_suffix="")  # fmt: skip
         line.rest(walk)
     found = walk.judge()
-    typer.echo(show.findings_text(found) if found else "every axis is right")
+    typer.echo(render.findings_text(found) if found else "every axis is right")
     return found

@@ -5,8 +5,8 @@ from dataclasses import asdict
 from textwrap import fill
 from typing import Any
 
-from vio.doctor.delay import delay, words
 from vio.doctor.records import Facts, Finding, Severity
+from vio.doctor.rules.delay import delay, words
 
 _WIDTH = 96
 

@@ -1,8 +1,8 @@
 """What PX4's parameters must be for flying on our poses, from its sources and flights."""
 
+from vio.doctor.parameter_sets import shipped
 from vio.doctor.records import Facts, Severity
-from vio.doctor.rules import ParamRule, at_most, bits, one_of
-from vio.doctor.sets import shipped
+from vio.doctor.rules.base import ParamRule, at_most, bits, one_of
 from vio.mavlink.messages import PX4
 
 E, W, I = Severity.ERROR, Severity.WARNING, Severity.INFO  # noqa: E741

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from vio.doctor.hand_test import Rest, Step, judge, rest
 from vio.doctor.records import Finding
-from vio.doctor.wiggle import Rest, Step, judge, rest
 from vio.mavlink.messages import AUTOPILOT_COMPONENT, SET_MESSAGE_INTERVAL, Outgoing, command
 from vio.mavlink.vehicle import Vehicle
 

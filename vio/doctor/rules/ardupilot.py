@@ -1,8 +1,8 @@
 """What ArduPilot's parameters must be for flying on our poses, from its sources and flights."""
 
+from vio.doctor.parameter_sets import shipped
 from vio.doctor.records import Facts, Severity
-from vio.doctor.rules import ParamRule, at_least, at_most, one_of
-from vio.doctor.sets import shipped
+from vio.doctor.rules.base import ParamRule, at_least, at_most, one_of
 from vio.mavlink.messages import ARDUPILOT
 
 E, W, I = Severity.ERROR, Severity.WARNING, Severity.INFO  # noqa: E741

@@ -7,10 +7,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from vio.config.mavlink import ImuLinkConfig, MavlinkConfig
-from vio.doctor.examiner import Examiner
+from vio.doctor.collect import Examiner
+from vio.doctor.hand_test_data import Walk
 from vio.doctor.params import ParamWriter
 from vio.doctor.records import Change, Facts
-from vio.doctor.walk import Walk
 from vio.errors import LinkError
 from vio.mavlink.bridge import Bridge, now_ns
 from vio.mavlink.endpoint import check_baud, parse_url

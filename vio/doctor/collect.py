@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from vio.config.mavlink import MavlinkConfig
-from vio.doctor.check import names
+from vio.doctor.checks import names
 from vio.doctor.params import ParamReader
 from vio.doctor.records import Facts, VisionSeen
 from vio.mavlink.belief import BeliefCheck, sent_pose
