@@ -39,10 +39,10 @@ from vio.localize.fused import VioArm
 from vio.localize.run import run, trajectory
 from vio.localize.stopwatch import Stopwatch
 from vio.records import ImuTrack
-from vio.sim.along import followed
-from vio.sim.pictures import frames
-from vio.sim.record import write_log
+from vio.sim.rendered_replay import followed
 from vio.sim.scenario import load_scenario, scenario_yaml
+from vio.sim.sensors.image_stream import frames
+from vio.sim.write_log import write_log
 from vio.sources.flight_log.arrivals import read_imu_of
 from vio.sources.flight_log.files import read_imu_noise, read_phases, read_truth
 from vio.sources.flight_log.log import FlightLog

@@ -44,7 +44,7 @@ def a_state(n):
 def noise():
     from vio.config.filter import VioConfig
     from vio.filter.eskf import process_noise
-    from vio.sim.inertial import PIXHAWK
+    from vio.sim.sensors.simple_imu import PIXHAWK
 
     return process_noise(PIXHAWK, VioConfig())
 

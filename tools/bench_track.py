@@ -38,8 +38,8 @@ from tagvo.render.view import Look, displaced, render_view
 from vio.config.filter import VioConfig
 from vio.filter.eskf import Estimator
 from vio.localize.fused import VioArm
-from vio.sim.inertial import PIXHAWK, simulate_imu
-from vio.sim.trajectory import FLIGHTS
+from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
+from vio.sim.world.trajectory import FLIGHTS
 
 CAM = replace(CAMERA, model="radtan", coeffs=np.array([-0.18, 0.05, 0.001, -0.0005]))
 SETTINGS = {

@@ -26,9 +26,9 @@ from tagvo.records import PoseMeasurement
 from vio.config.filter import PriorConfig, VioConfig
 from vio.filter.eskf import Estimator
 from vio.records import ImuSample
-from vio.sim.inertial import PIXHAWK, simulate_imu
-from vio.sim.poses import PoseNoise, PoseStream, simulate_poses, wrong_rig
-from vio.sim.trajectory import FLIGHTS, circle, hover, t1
+from vio.sim.sensors.pose_noise import PoseNoise, PoseStream, simulate_poses, wrong_rig
+from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
+from vio.sim.world.trajectory import FLIGHTS, circle, hover, t1
 from vio.sources.flight_log.files import read_imu, read_imu_noise, read_phases, read_truth
 from vio.sources.flight_log.log import FlightLog
 from vio.sources.flight_log.tally import Tally

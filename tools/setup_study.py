@@ -22,10 +22,10 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "oracles")]
 
 from setup_faults import CODES, GROSS, judge, tilt_10
 
-from vio.sim.pictures import frames
-from vio.sim.record import write_log
 from vio.sim.recording import simulated
 from vio.sim.scenario import load_scenario, scenario_yaml
+from vio.sim.sensors.image_stream import frames
+from vio.sim.write_log import write_log
 
 RIGHT = ("t1_qr", "t2_qr", "t3_qr")
 REAL = ("euroc_imu_april", "tagslam_aviary", "tagslam_line5")  # the last two: sizes alone

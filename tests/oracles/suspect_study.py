@@ -8,9 +8,9 @@ from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from vio.evaluate.sightings import SightingBook
 from vio.evaluate.suspects import judge_tags
-from vio.sim.pictures import frames
 from vio.sim.recording import simulated
 from vio.sim.scenario import load_scenario
+from vio.sim.sensors.image_stream import frames
 
 MOVED_M = 0.03
 

@@ -10,9 +10,9 @@ from tagvo.records import PoseMeasurement
 from vio.config.filter import VioConfig
 from vio.filter.eskf import Estimator
 from vio.records import ImuSample
-from vio.sim.inertial import PIXHAWK, simulate_imu
-from vio.sim.poses import PoseNoise, simulate_poses
-from vio.sim.trajectory import FLIGHTS
+from vio.sim.sensors.pose_noise import PoseNoise, simulate_poses
+from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
+from vio.sim.world.trajectory import FLIGHTS
 
 _R_CI = geo.exp(np.array([np.pi, 0.0, 0.0])) @ geo.exp(np.array([0.0, 0.0, 0.3]))
 CAMERA = Camera(

@@ -9,8 +9,8 @@ from simulated import arena, corners_seen
 from tagvo import geometry as geo
 from tagvo.records import Detections, Frame
 from vio.records import ImuSample
-from vio.sim.inertial import PIXHAWK, simulate_imu
-from vio.sim.trajectory import t3
+from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
+from vio.sim.world.trajectory import t3
 from vio.sinks.log import LogWriter
 
 START_NS = 1_700_000_000_000_000_000

@@ -19,7 +19,7 @@ from vio.mavlink.codec import MESSAGE_IDS, Codec
 from vio.mavlink.protocol import Companion
 from vio.records import ImuSample
 from vio.setup_check.findings import Finding
-from vio.sim.inertial import PIXHAWK
+from vio.sim.sensors.simple_imu import PIXHAWK
 from vio.sources.live.imu import MavlinkImu
 
 VISION = "VISION_POSITION_ESTIMATE"

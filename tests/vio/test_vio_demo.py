@@ -7,9 +7,9 @@ from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
 from vio.commands.demo import sentence
-from vio.commands.demo_flight import GRAVITY, demo_flight, imu_samples, seconds, stamps
 from vio.config.shipped import config_path
 from vio.records import ImuNoise
+from vio.sim.demo import GRAVITY, demo_flight, imu_samples, seconds, stamps
 
 
 def test_the_imu_is_that_of_the_rendered_flight():

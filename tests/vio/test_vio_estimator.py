@@ -16,8 +16,8 @@ from vio.filter.history import _mean_rate, _rate_span
 from vio.frames import level_frame
 from vio.localize.fused import VioArm
 from vio.records import ImuSample
-from vio.sim.inertial import PIXHAWK
-from vio.sim.poses import PoseNoise, wrong_rig
+from vio.sim.sensors.pose_noise import PoseNoise, wrong_rig
+from vio.sim.sensors.simple_imu import PIXHAWK
 
 
 def run(whats, config=None, camera=CAMERA):

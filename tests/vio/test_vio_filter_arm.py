@@ -15,8 +15,8 @@ from vio.config.filter import VioConfig
 from vio.filter.eskf import Estimator
 from vio.localize.fused import VioArm, VoKfArm
 from vio.records import ImuSample
-from vio.sim.inertial import PIXHAWK
-from vio.sim.poses import PoseNoise
+from vio.sim.sensors.pose_noise import PoseNoise
+from vio.sim.sensors.simple_imu import PIXHAWK
 
 
 def test_vio_arm_answers_every_sample_once_started():

@@ -10,7 +10,7 @@ from vio.config.filter import VioConfig
 from vio.config.mavlink import MavlinkConfig
 from vio.mavlink.codec import MESSAGE_IDS
 from vio.mavlink.protocol import Companion
-from vio.sim.inertial import PIXHAWK
+from vio.sim.sensors.simple_imu import PIXHAWK
 
 HEADING = 60.0
 NOISE = PoseNoise(white=(0.01, 0.3), slow=(0.0, 0.0), outliers=0.03, dropouts=0,

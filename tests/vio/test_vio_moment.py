@@ -11,7 +11,7 @@ from vio.filter import state as at
 from vio.filter.eskf import Estimator
 from vio.filter.history import Window
 from vio.filter.outputs import moment
-from vio.sim.inertial import PIXHAWK
+from vio.sim.sensors.simple_imu import PIXHAWK
 
 
 def flown(seconds=6.0):

@@ -23,9 +23,9 @@ from numpy.testing import assert_allclose
 from tagvo import geometry as geo
 from vio.config.filter import VioConfig
 from vio.filter.eskf import Estimator
-from vio.sim.inertial import PIXHAWK
-from vio.sim.poses import PoseNoise
-from vio.sim.trajectory import circle
+from vio.sim.sensors.pose_noise import PoseNoise
+from vio.sim.sensors.simple_imu import PIXHAWK
+from vio.sim.world.trajectory import circle
 
 NOISY = PoseNoise(white=(0.02, 0.6), slow=(0.01, 0.3), outliers=0.0, dropouts=0, stamp_s=0.0)
 

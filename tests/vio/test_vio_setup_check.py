@@ -20,7 +20,7 @@ from vio.setup_check.hypotheses import (
     imu_turns,
 )
 from vio.setup_check.watch import check_sizes, pitch_ratio
-from vio.sim.poses import PoseNoise
+from vio.sim.sensors.pose_noise import PoseNoise
 from vio.sources.imu_check import check_stamps
 
 VO = PoseNoise(white=(0.004, 0.15), slow=(0.0, 0.0), outliers=0.02, dropouts=0, stamp_s=0.0)

@@ -15,7 +15,7 @@ from vio.errors import LinkError, LogError
 from vio.evaluate.compare import comparison
 from vio.filter.eskf import Estimator
 from vio.localize.fused import VioArm
-from vio.sim.inertial import PIXHAWK
+from vio.sim.sensors.simple_imu import PIXHAWK
 from vio.sitl.ardupilot import ArduPilotEnd
 from vio.sitl.play import play
 from vio.sitl.px4 import Px4End

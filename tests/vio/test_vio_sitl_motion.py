@@ -10,8 +10,8 @@ from tagvo import geometry as geo
 from vio.evaluate.truth import clean_truth
 from vio.frames import FLIP
 from vio.records import ImuTrack, Truth
-from vio.sim.inertial import true_rates
-from vio.sim.trajectory import t3
+from vio.sim.sensors.simple_imu import true_rates
+from vio.sim.world.trajectory import t3
 from vio.sitl.ardupilot import state_line
 from vio.sitl.estimate import Said, Sent, fc_trajectory
 from vio.sitl.motion import ImuMeans, Motion, placed

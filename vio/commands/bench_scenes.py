@@ -13,8 +13,8 @@ from tagvo.geometry import Array, IntArray
 from tagvo.records import PosePrior
 from tagvo.render.view import Image, Look, exposure_poses, render_view
 from tagvo.tags.tag_map import TagMap, load_map, tag_corners
-from vio.commands.demo_flight import demo_camera, demo_flight
 from vio.config.shipped import config_path
+from vio.sim.demo import demo_camera, demo_flight
 
 SIZES = {"640x480": (640, 480), "1280x720": (1280, 720), "1640x1232": (1640, 1232)}
 LOOKS = ("sharp", "blurred", "noisy", "dark")

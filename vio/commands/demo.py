@@ -67,9 +67,9 @@ def _fly(log: Path, quick: bool) -> None:
     from tagvo import geometry as geo
     from tagvo.camera.calibration import load_camera
     from tagvo.tags.tag_map import load_map
-    from vio.commands import demo_flight as demo
     from vio.config.shipped import config_path
-    from vio.sim.inertial import PIXHAWK
+    from vio.sim import demo as demo
+    from vio.sim.sensors.simple_imu import PIXHAWK
     from vio.sinks.log import LogWriter
 
     tag_map = load_map(config_path("maps/arena.yaml"))

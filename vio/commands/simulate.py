@@ -98,7 +98,7 @@ def _recording(scenario: "Scenario", along: Path | None, imu: str) -> "Recording
         from vio.sim.recording import simulated
 
         return simulated(scenario)
-    from vio.sim.along import followed
+    from vio.sim.rendered_replay import followed
 
     return followed(scenario, along, imu)
 
@@ -115,8 +115,8 @@ def _write(
     """The log, with a bar for who watches; how many frames were written."""
     from contextlib import closing
 
-    from vio.sim.pictures import frames
-    from vio.sim.record import write_log
+    from vio.sim.sensors.image_stream import frames
+    from vio.sim.write_log import write_log
 
     what = "writing corners" if corners else "rendering"
     with opt.progress(len(recording.frames), what) as step, gently() as stop:

@@ -23,9 +23,9 @@ from vio.localize.stopwatch import Stopwatch
 from vio.records import Ground, ImuSample, Phase
 from vio.reproduce.plan import WHOLE
 from vio.reproduce.records import Judge, Score, Task, pooled, scored
-from vio.sim.pictures import frames
 from vio.sim.recording import Recording, simulated
 from vio.sim.scenario import Scenario, load_scenario
+from vio.sim.sensors.image_stream import frames
 
 _OURS = {"NEW": "NEW", "NEW+FIR": "NEW", "JBT in the filter": "JBT"}  # whose configuration
 _ON_THE_GROUND = {"still", "takeoff", "land"}

@@ -13,15 +13,15 @@ from tagvo.render.scene import Scene, SceneConfig, make_scene
 from tagvo.render.shutter import PoseAt
 from tagvo.tags.tag_map import TagMap, load_map
 from vio.records import ImuNoise, ImuTrack, Phase, Truth
-from vio.sim.camera import Exposures, exposures, said_camera
-from vio.sim.checks import check_flight
-from vio.sim.clocks import Clock
-from vio.sim.course import Window, band_limited, shaken
-from vio.sim.flights import Plan, plan
-from vio.sim.imu import Shaking, sampled, stated
-from vio.sim.motion import DOWN_W, BodyFlight, body_flight
 from vio.sim.scenario import Scenario, asset
-from vio.sim.vehicle import Vibration, hum, mount, vibration
+from vio.sim.sensors.camera import Exposures, exposures, said_camera
+from vio.sim.sensors.clocks import Clock
+from vio.sim.sensors.imu import Shaking, sampled, stated
+from vio.sim.validity import check_flight
+from vio.sim.world.course import Window, band_limited, shaken
+from vio.sim.world.dynamics import DOWN_W, BodyFlight, body_flight
+from vio.sim.world.flights import Plan, plan
+from vio.sim.world.vehicle import Vibration, hum, mount, vibration
 
 START_NS = 1_700_000_000_000_000_000  # what the IMU's clock shows when a simulated flight begins
 

@@ -14,12 +14,12 @@ from tagvo.textfile import read_yaml
 from vio.config.overrides import assign, origin
 from vio.config.shipped import config_names, config_path
 from vio.errors import VioError
-from vio.sim.camera import CalibrationError, CameraStream
-from vio.sim.flights import FlightConfig
-from vio.sim.imu import ImuModel
 from vio.sim.model import Model
-from vio.sim.sightings import SightingConfig
-from vio.sim.vehicle import Vehicle
+from vio.sim.sensors.camera import CalibrationError, CameraStream
+from vio.sim.sensors.corners import SightingConfig
+from vio.sim.sensors.imu import ImuModel
+from vio.sim.world.flights import FlightConfig
+from vio.sim.world.vehicle import Vehicle
 
 _EXAMPLE = "vehicle=hr or stream.rate_hz=20"
 

@@ -16,16 +16,16 @@ from strategies import seeds
 from tagvo import geometry as geo
 from vio.errors import LogError, SimulationError
 from vio.records import Truth
-from vio.sim import along as alg
-from vio.sim import course as crs
-from vio.sim.checks import extent
-from vio.sim.motion import body_flight
-from vio.sim.pictures import frames as pictures
-from vio.sim.record import write_log
+from vio.sim import rendered_replay as alg
 from vio.sim.recording import rig_of, simulated
 from vio.sim.scenario import load_scenario
-from vio.sim.trajectory import t3_command
-from vio.sim.truthspline import left_out, spline_of, velocity_misfit
+from vio.sim.sensors.image_stream import frames as pictures
+from vio.sim.validity import extent
+from vio.sim.world import course as crs
+from vio.sim.world.dynamics import body_flight
+from vio.sim.world.trajectory import t3_command
+from vio.sim.world.truth_spline import left_out, spline_of, velocity_misfit
+from vio.sim.write_log import write_log
 from vio.sources.flight_log.arrivals import same_clock
 from vio.sources.flight_log.log import FlightLog
 

@@ -10,9 +10,8 @@ from strategies import seeds
 
 from tagvo import geometry as geo
 from vio.records import ImuNoise
-from vio.sim import course as crs
-from vio.sim.clocks import Clock, delays, jittered, kept
-from vio.sim.imu import (
+from vio.sim.sensors.clocks import Clock, delays, jittered, kept
+from vio.sim.sensors.imu import (
     ImuModel,
     LowPass,
     drawn_lay,
@@ -24,10 +23,11 @@ from vio.sim.imu import (
     stated,
     white,
 )
-from vio.sim.inertial import bias_walk, true_rates
-from vio.sim.motion import DOWN_W, body_flight
-from vio.sim.trajectory import t1, t1_command
-from vio.sim.vehicle import Harmonic, Rotors, hum, vibration
+from vio.sim.sensors.simple_imu import bias_walk, true_rates
+from vio.sim.world import course as crs
+from vio.sim.world.dynamics import DOWN_W, body_flight
+from vio.sim.world.trajectory import t1, t1_command
+from vio.sim.world.vehicle import Harmonic, Rotors, hum, vibration
 
 PERFECT = {
     "gyro_density": 0.0, "accel_density": 0.0, "gyro_walk": 0.0, "accel_walk": 0.0,

@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 from strategies import seeds
 
 from tagvo import geometry as geo
-from vio.sim import course as crs
-from vio.sim.motion import DOWN_W, body_flight, inertial, tilt
-from vio.sim.trajectory import GRAVITY, t1, t1_command, t2_command, t3, t3_command
+from vio.sim.world import course as crs
+from vio.sim.world.dynamics import DOWN_W, body_flight, inertial, tilt
+from vio.sim.world.trajectory import GRAVITY, t1, t1_command, t2_command, t3, t3_command
 
 H = 1e-4  # [s] of central differences
 

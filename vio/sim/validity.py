@@ -6,9 +6,9 @@ from tagvo import geometry as geo
 from tagvo.geometry import Array
 from tagvo.tags.tag_map import TagMap, tag_corners
 from vio.errors import SimulationError
-from vio.sim.flights import Plan
-from vio.sim.motion import BodyFlight, BodyMotion, tilt
 from vio.sim.scenario import Scenario
+from vio.sim.world.dynamics import BodyFlight, BodyMotion, tilt
+from vio.sim.world.flights import Plan
 
 _EVERY_S = 0.01
 _SUNK_M = 1e-3  # the course may dip this far below standing height

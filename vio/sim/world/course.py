@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval
 
 from tagvo.geometry import Array
-from vio.sim.trajectory import Command, smoothed
+from vio.sim.world.trajectory import Command, smoothed
 
 ORDERS = 4
 Course: TypeAlias = Callable[[Array], Array]

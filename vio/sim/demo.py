@@ -15,7 +15,7 @@ from tagvo.tags.tag_map import TagMap
 from vio.records import ImuNoise, ImuSample
 
 if TYPE_CHECKING:
-    from vio.sim.trajectory import Motion
+    from vio.sim.world.trajectory import Motion
 
 SEED = 12
 GRAVITY = 9.81
@@ -66,7 +66,7 @@ class Flight:
 
     def motion(self, t: Array) -> "Motion":
         """What the simulated IMU needs of it."""
-        from vio.sim.trajectory import Motion
+        from vio.sim.world.trajectory import Motion
 
         return Motion(t, self.p(t), self.v(t), self.a(t), self.R_WI(t))
 
@@ -124,7 +124,7 @@ def imu_samples(
 
     turn_on: sigmas of its first biases [rad/s, m/s^2].
     """
-    from vio.sim.inertial import simulate_imu
+    from vio.sim.sensors.simple_imu import simulate_imu
 
     frame_ns, _ = stamps(quick)
     start_s, end_s = seconds(frame_ns[[0, -1]]) - [_IMU_BEFORE_S, 0.0]

@@ -8,7 +8,7 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import PoseMeasurement
-from vio.sim.trajectory import Flight
+from vio.sim.world.trajectory import Flight
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,10 @@ from scipy.signal import butter, group_delay, lfilter, lfilter_zi
 from tagvo import geometry as geo
 from tagvo.geometry import Array
 from vio.records import ImuNoise, ImuTrack
-from vio.sim.clocks import Clock, delays, jittered, kept
-from vio.sim.inertial import PIXHAWK, Biases, bias_walk
 from vio.sim.model import Model, Range
-from vio.sim.motion import DOWN_W, BodyFlight, inertial
+from vio.sim.sensors.clocks import Clock, delays, jittered, kept
+from vio.sim.sensors.simple_imu import PIXHAWK, Biases, bias_walk
+from vio.sim.world.dynamics import DOWN_W, BodyFlight, inertial
 
 Shaking: TypeAlias = Callable[[Array], tuple[Array, Array]]  # times -> gyro, accel vibration
 _LEAST = ImuNoise(1e-5, 0.0, 1e-6, 0.0)  # imu.yaml must give densities above zero

@@ -7,7 +7,7 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.geometry import Array
 from vio.records import ImuNoise, ImuTrack
-from vio.sim.trajectory import GRAVITY, Flight
+from vio.sim.world.trajectory import GRAVITY, Flight
 
 PIXHAWK = ImuNoise(5e-3, 5e-4, 3e-4, 2e-5, 200.0)
 _HALF_STEP_S = 5e-4

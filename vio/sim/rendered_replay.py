@@ -11,12 +11,12 @@ from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.render.shutter import PoseAt
 from vio.errors import LogError, SimulationError
 from vio.records import Truth
-from vio.sim.camera import Exposures, exposures
-from vio.sim.checks import extent
-from vio.sim.clocks import Clock
 from vio.sim.recording import Recording, map_of, rig_of, said_of, scene_of, stream_of
 from vio.sim.scenario import Scenario
-from vio.sim.truthspline import TruthSpline, left_out, spline_of, velocity_misfit
+from vio.sim.sensors.camera import Exposures, exposures
+from vio.sim.sensors.clocks import Clock
+from vio.sim.validity import extent
+from vio.sim.world.truth_spline import TruthSpline, left_out, spline_of, velocity_misfit
 from vio.sources.flight_log.arrivals import read_imu_of
 from vio.sources.flight_log.files import read_imu_noise, read_phases, read_truth
 from vio.sources.flight_log.tally import Tally

@@ -11,11 +11,11 @@ from tagvo import geometry as geo
 from tagvo.geometry import Array
 from tagvo.tags.tag_map import TagMap
 from vio.errors import SimulationError
-from vio.sim import course as crs
-from vio.sim.course import Course, Window
 from vio.sim.model import Model
-from vio.sim.trajectory import Command, t1_command, t2_command, t3_command
-from vio.sim.vehicle import Vehicle
+from vio.sim.world import course as crs
+from vio.sim.world.course import Course, Window
+from vio.sim.world.trajectory import Command, t1_command, t2_command, t3_command
+from vio.sim.world.vehicle import Vehicle
 
 Name = Literal["T1", "T2", "T3", "static", "shuttle", "waypoints"]
 Waypoint = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]

@@ -8,8 +8,8 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array
-from vio.sim.course import Course, Sines, Window, weighed
-from vio.sim.trajectory import GRAVITY
+from vio.sim.world.course import Course, Sines, Window, weighed
+from vio.sim.world.trajectory import GRAVITY
 
 DOWN_W = np.array([0.0, 0.0, -1.0])
 

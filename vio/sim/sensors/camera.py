@@ -7,9 +7,9 @@ from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat
 
 from tagvo.camera.model import Camera
 from tagvo.geometry import Array, IntArray
-from vio.sim.clocks import Clock, delays, jittered, kept
 from vio.sim.model import Model, Range
-from vio.sim.poses import visible, wrong_rig
+from vio.sim.sensors.clocks import Clock, delays, jittered, kept
+from vio.sim.sensors.pose_noise import visible, wrong_rig
 
 
 class CameraStream(Model):

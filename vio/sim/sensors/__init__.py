@@ -1,0 +1,1 @@
+"""The simulated sensors: IMU, camera, clocks, and what each gets wrong."""

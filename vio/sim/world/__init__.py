@@ -1,0 +1,1 @@
+"""The simulated world: vehicles, their dynamics, flights and trajectories."""
