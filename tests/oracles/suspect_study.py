@@ -6,8 +6,8 @@ import numpy as np
 
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
-from vio.evaluate.sightings import SightingBook
-from vio.evaluate.suspects import judge_tags
+from vio.evaluate.moved_tags import judge_tags
+from vio.evaluate.tag_sightings import SightingBook
 from vio.sim.recording import simulated
 from vio.sim.scenario import load_scenario
 from vio.sim.sensors.image_stream import frames

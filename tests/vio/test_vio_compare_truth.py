@@ -95,7 +95,7 @@ def test_compare_ends_whatever_truth_holds(log, truth, tmp_path, monkeypatch, ki
     lines = [f"{t},{','.join(map(repr, row.tolist()))}" for t, row in zip(t_ns, rows, strict=True)]
     (log / TRUTH).write_text("\n".join([head, *lines]) + "\n")
     if align != "none" or kind not in DRAWN:
-        monkeypatch.setattr("vio.evaluate.report.write_report", lambda *_: None)
+        monkeypatch.setattr("vio.evaluate.report.report.write_report", lambda *_: None)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         done = tagvio("compare", log, "--out", tmp_path, "--vo-only", "--align", align)

@@ -11,8 +11,8 @@ from oracles.suspect_study import MOVED_M, a_tag, flight, judged
 
 from tagvo import geometry as geo
 from tagvo.tags.tag_map import load_map, save_map
-from vio.evaluate import suspects
-from vio.evaluate.sightings import Sightings
+from vio.evaluate import moved_tags
+from vio.evaluate.tag_sightings import Sightings
 
 SHORT = ("stream.rate_hz=5",)
 
@@ -70,7 +70,7 @@ def test_the_reduced_system_is_that_of_all_unknowns_together():
     rng = np.random.default_rng(7)
     tag_map, seen = synthetic(rng, np.zeros((12, 3)))
     every = np.ones(len(seen), dtype=bool)
-    r, Jc, Jt = suspects._linearised(seen, every, tag_map)
+    r, Jc, Jt = moved_tags._linearised(seen, every, tag_map)
     k, f = 12, 40
     J = np.zeros((len(r), 8, 6 * (k + f)))
     for i, (t, c) in enumerate(zip(seen.row, seen.frame, strict=True)):
@@ -86,7 +86,7 @@ def test_the_reduced_system_is_that_of_all_unknowns_together():
     np.add.at(ac, seen.frame, np.einsum("mri,mr->mi", Jc, r))
     B = np.einsum("mri,mrj->mij", Jc, Jt)
     groups = np.split(np.arange(len(r)), np.arange(12, len(r), 12))
-    S, g = suspects._reduced(
+    S, g = moved_tags._reduced(
         Jt, np.ones(len(r)), np.einsum("mri,mr->mi", Jt, r), B, np.linalg.inv(Hc), ac, seen.row,
         groups, k,
     )  # fmt: skip
@@ -97,15 +97,15 @@ def test_the_derivatives_are_those_of_the_projection():
     rng = np.random.default_rng(8)
     tag_map, seen = synthetic(rng, np.zeros((12, 3)))
     every, h = np.ones(len(seen), dtype=bool), 1e-6
-    r, Jc, Jt = suspects._linearised(seen, every, tag_map)
+    r, Jc, Jt = moved_tags._linearised(seen, every, tag_map)
     for k in range(6):
         d = h * np.eye(6)[k]
         turned = replace(seen, p_WC=seen.p_WC + d[:3], R_WC=seen.R_WC @ geo.exp(d[3:]))
-        assert_allclose((r - suspects._linearised(turned, every, tag_map)[0]) / h, Jc[..., k],
+        assert_allclose((r - moved_tags._linearised(turned, every, tag_map)[0]) / h, Jc[..., k],
                         atol=2e-2 * np.abs(Jc).max() * 1e-2)  # fmt: skip
         p_WT = tag_map.p_WT + tag_map.R_WT @ d[:3]
         laid = replace(tag_map, p_WT=p_WT, R_WT=tag_map.R_WT @ geo.exp(d[3:]))
-        assert_allclose((r - suspects._linearised(seen, every, laid)[0]) / h, Jt[..., k],
+        assert_allclose((r - moved_tags._linearised(seen, every, laid)[0]) / h, Jt[..., k],
                         atol=2e-2 * np.abs(Jt).max() * 1e-2)  # fmt: skip
 
 
@@ -113,7 +113,7 @@ def test_two_moved_tags_are_found_where_they_went():
     moved = np.zeros((12, 3))
     moved[3], moved[8] = [0.02, 0.0, 0.0], [0.0, -0.015, 0.01]
     tag_map, seen = synthetic(np.random.default_rng(9), moved)
-    found = suspects.judge_tags(seen, tag_map)
+    found = moved_tags.judge_tags(seen, tag_map)
     assert found.row[found.suspect].tolist() == [3, 8]
     assert_allclose(found.offset_W[[3, 8]], moved[[3, 8]], atol=0.003)
 
@@ -128,21 +128,21 @@ def test_a_smooth_bend_of_the_whole_map_moves_no_tag_among_its_company():
     near = np.linalg.norm(p_WT[:, None] - p_WT, axis=-1) < 0.9
     together = np.where(near, 20.0, 0.0)
     assert np.linalg.norm(bent, axis=1).max() > 0.05
-    assert np.linalg.norm(suspects.among(bent, p_WT, together), axis=1).max() < 0.005
+    assert np.linalg.norm(moved_tags.among(bent, p_WT, together), axis=1).max() < 0.005
     bent[20] += [0.0, 0.04, 0.0]
-    alone = suspects.among(bent, p_WT, together)
+    alone = moved_tags.among(bent, p_WT, together)
     assert_allclose(alone[20], [0.0, 0.04, 0.0], atol=0.005)
     assert np.linalg.norm(np.delete(alone, 20, axis=0), axis=1).max() < 0.01
 
 
 def test_a_tag_without_company_keeps_its_offset():
     offset = np.array([[0.01, 0.0, 0.0], [0.0, 0.02, 0.0]])
-    assert_allclose(suspects.among(offset, np.eye(2, 3), np.eye(2)), offset)
+    assert_allclose(moved_tags.among(offset, np.eye(2, 3), np.eye(2)), offset)
 
 
 def test_too_few_sightings_judge_nothing():
     tag_map, seen = synthetic(np.random.default_rng(1), np.zeros((12, 3)), cameras=4)
-    assert len(suspects.judge_tags(seen, tag_map).row) == 0
+    assert len(moved_tags.judge_tags(seen, tag_map).row) == 0
 
 
 def test_the_report_of_a_rendered_flight_names_the_moved_tag(tmp_path):

@@ -79,8 +79,8 @@ def judge(
     from vio.commands.replay_log import frame_counts, run_summary
     from vio.evaluate.compare import comparison_of, table, write_json
     from vio.evaluate.compare import judge as judge_one
-    from vio.evaluate.pngs import write_pngs
-    from vio.evaluate.report import write_report
+    from vio.evaluate.report.png import write_pngs
+    from vio.evaluate.report.report import write_report
     from vio.evaluate.truth import clean_truth
     from vio.localize.run import trajectory, tum_rows
     from vio.sinks.tum import write_tum

@@ -9,16 +9,16 @@ from tagvo.geometry import IntArray
 from vio.commands.replay_log import Replayed
 from vio.evaluate.breakdown import breakdown, up_of
 from vio.evaluate.compare import Judged
+from vio.evaluate.moved_tags import Judgement, judge_tags
 from vio.evaluate.records import Window
-from vio.evaluate.report import Extra
-from vio.evaluate.sections import Picture, suspect_lines
-from vio.evaluate.suspects import Judgement, judge_tags
+from vio.evaluate.report.frame_picture import picture
+from vio.evaluate.report.report import Extra
+from vio.evaluate.report.sections import Picture, suspect_lines
 from vio.evaluate.truth import TruthTrack
-from vio.sinks.moments import picture
 from vio.sources.flight_log.log import FlightLog
 
 if TYPE_CHECKING:
-    from vio.evaluate.sightings import SightingBook
+    from vio.evaluate.tag_sightings import SightingBook
 
 _WORST, _APART_NS = 4, 2_000_000_000
 _NEAR_NS = 300_000_000

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from tagvo.pipeline import Trace
-    from vio.evaluate.diary import DiaryKeeper
-    from vio.evaluate.sightings import SightingBook
+    from vio.evaluate.filter_log import DiaryKeeper
+    from vio.evaluate.tag_sightings import SightingBook
     from vio.setup_check.findings import Finding
     from vio.sinks.live_view import LiveView
 
@@ -179,8 +179,8 @@ def _inspectors(
     log: FlightLog, config: Config, vio: VioArm | None
 ) -> "tuple[SightingBook, DiaryKeeper | None, Callable[[Trace], None]]":
     """What writes down the sightings and the filter's beliefs, and what shows both a frame."""
-    from vio.evaluate.diary import DiaryKeeper
-    from vio.evaluate.sightings import SightingBook
+    from vio.evaluate.filter_log import DiaryKeeper
+    from vio.evaluate.tag_sightings import SightingBook
 
     book = SightingBook(config.tagvo.joint.reject_weight)
     diary = None if vio is None else DiaryKeeper(vio.estimator, log.camera.R_CI.T)

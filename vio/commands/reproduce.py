@@ -76,7 +76,7 @@ def _write(out: Path, text: str, content: dict[str, Any]) -> None:
     """All tables as Markdown and as a page, all figures as JSON."""
     from tagvo.textfile import write_atomic
     from vio.evaluate.compare import write_json
-    from vio.evaluate.page import page_of_markdown
+    from vio.evaluate.report.html import page_of_markdown
 
     write_atomic(out / "reproduce.md", text)
     write_atomic(out / "report.html", page_of_markdown("tagvio reproduce", text))

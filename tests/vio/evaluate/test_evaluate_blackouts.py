@@ -3,7 +3,7 @@
 import numpy as np
 
 from vio.evaluate import plots, sections
-from vio.evaluate.diary import Diary
+from vio.evaluate.filter_log import Diary
 
 
 def frames(hz, seconds=20.0):

@@ -9,10 +9,10 @@ from evaluate_flights import empty, estimate, make_truth, stamps
 from numpy.testing import assert_allclose
 
 from tagvo.tags.tag_map import map_from_dict
-from vio.evaluate import lines
 from vio.evaluate.compare import comparison
-from vio.evaluate.report import Extra, share_outside, write_report
-from vio.evaluate.verdict import verdict
+from vio.evaluate.report import polylines
+from vio.evaluate.report.report import Extra, share_outside, write_report
+from vio.evaluate.report.verdict import verdict
 
 TAGS = [{"id": i, "size": 0.2, "p": [0.5 * i, 0.0, 0.0], "q": [1, 0, 0, 0]} for i in range(3)]
 GRAVITY = {"dir": [0, 0, -1], "sigma_deg": 1}
@@ -104,7 +104,7 @@ def test_thinning_keeps_peaks_ends_and_gaps():
     rng = np.random.default_rng(1)
     y = rng.normal(size=50_000)
     y[12_345], y[23_456], y[34_567] = 100.0, -100.0, np.nan
-    t, kept = lines.thin(np.arange(50_000.0), y, 1000)
+    t, kept = polylines.thin(np.arange(50_000.0), y, 1000)
     assert len(kept) <= 1010 + 1000 // 100
     assert (np.nanmax(kept), np.nanmin(kept)) == (100.0, -100.0)
     assert np.isnan(kept).sum() == 1
@@ -115,20 +115,20 @@ def test_thinning_keeps_peaks_ends_and_gaps():
 def test_lines_run_in_time_and_break_at_long_pauses():
     t_ns = stamps(6)[[0, 2, 1, 3, 4, 5]]
     t_ns[4:] += 5_000_000_000
-    t_s, y = lines.in_time(t_ns, np.array([0.0, 2.0, 1.0, 3.0, 4.0, 5.0]), int(t_ns[0]))
+    t_s, y = polylines.in_time(t_ns, np.array([0.0, 2.0, 1.0, 3.0, 4.0, 5.0]), int(t_ns[0]))
     assert (np.diff(t_s) >= 0).all()
     assert_allclose(y, [0, 1, 2, 3, np.nan, 4, 5])
 
 
 def test_a_band_is_a_closed_outline_for_each_stretch():
     half = np.array([1.0, 2.0, np.nan, 3.0])
-    t_s, y = lines.band(np.arange(4.0), half)
+    t_s, y = polylines.band(np.arange(4.0), half)
     assert_allclose(y, [1, 2, -2, -1, np.nan, 3, -3, np.nan])
     assert_allclose(t_s, [0, 1, 1, 0, np.nan, 3, 3, np.nan])
 
 
 def test_tags_are_drawn_where_they_lie(tag_map):
-    points, names = lines.tag_outlines(tag_map)
+    points, names = polylines.tag_outlines(tag_map)
     assert points.shape == (18, 3)
     assert names[6] == "tag 1, 20 cm"
     assert_allclose(np.nanmean(points[6:10], axis=0), [0.5, 0.0, 0.0])

@@ -14,14 +14,14 @@ from tagvo.textfile import write_atomic
 from vio.evaluate import plots, sections
 from vio.evaluate.align import Z_AXIS
 from vio.evaluate.compare import COLUMNS, Judged, judge, rows
-from vio.evaluate.diary import Diary
-from vio.evaluate.page import page
+from vio.evaluate.filter_log import Diary
+from vio.evaluate.moved_tags import Judgement
 from vio.evaluate.records import Trajectory, TruthLike, Window
-from vio.evaluate.sections import Picture
-from vio.evaluate.sightings import Sightings
-from vio.evaluate.suspects import Judgement
+from vio.evaluate.report.html import page
+from vio.evaluate.report.sections import Picture
+from vio.evaluate.report.verdict import label, verdict
+from vio.evaluate.tag_sightings import Sightings
 from vio.evaluate.truth import TruthTrack, clean_truth
-from vio.evaluate.verdict import label, verdict
 
 _FIGURE_CONFIG = {"responsive": True, "displaylogo": False}
 

@@ -7,10 +7,10 @@ import numpy as np
 
 from tagvo.tags.tag_map import TagMap
 from vio.evaluate.compare import Judged
-from vio.evaluate.lines import in_time, path_in_time, tag_outlines
-from vio.evaluate.plots import GREY, TRUTH_COLOR, color
+from vio.evaluate.report.plots import GREY, TRUTH_COLOR, color
+from vio.evaluate.report.polylines import in_time, path_in_time, tag_outlines
+from vio.evaluate.report.verdict import label
 from vio.evaluate.truth import TruthTrack
-from vio.evaluate.verdict import label
 
 _DPI, _WIDTH_IN = 150, 9.0
 

@@ -14,7 +14,7 @@ import numpy as np
 from tagvo import geometry as geo
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.tags.tag_map import TagMap
-from vio.evaluate.sightings import Sightings
+from vio.evaluate.tag_sightings import Sightings
 
 _SYSTEMATIC_PX = 0.5  # what lens and rolling shutter leave, the same in frames near in time
 _FEWEST = 5  # frames that must have seen a tag before it is judged

@@ -10,10 +10,10 @@ import numpy as np
 
 from tagvo.geometry import Array, IntArray
 from tagvo.tags.tag_map import TagMap
-from vio.evaluate.diary import Diary
-from vio.evaluate.sightings import Sightings
-from vio.evaluate.suspects import Judgement
-from vio.evaluate.verdict import label
+from vio.evaluate.filter_log import Diary
+from vio.evaluate.moved_tags import Judgement
+from vio.evaluate.report.verdict import label
+from vio.evaluate.tag_sightings import Sightings
 
 NIS = (
     "Innovation of each frame's pose against what the filter expected, per degree of freedom, and"

@@ -8,13 +8,13 @@ import numpy as np
 from tagvo.geometry import Array, IntArray
 from tagvo.tags.tag_map import TagMap
 from vio.evaluate.compare import Judged
-from vio.evaluate.diary import Diary
-from vio.evaluate.lines import band, in_time, path_in_time, tag_outlines, thin
+from vio.evaluate.filter_log import Diary
+from vio.evaluate.moved_tags import Judgement
 from vio.evaluate.records import Errors
-from vio.evaluate.sightings import Sightings
-from vio.evaluate.suspects import Judgement
+from vio.evaluate.report.polylines import band, in_time, path_in_time, tag_outlines, thin
+from vio.evaluate.report.verdict import label
+from vio.evaluate.tag_sightings import Sightings
 from vio.evaluate.truth import TruthTrack
-from vio.evaluate.verdict import label
 
 COLORS = {"vo": "#56B4E9", "vo_fir": "#009E73", "vo_kf": "#CC79A7", "vio": "#D55E00"}  # Okabe-Ito
 OTHER_COLOR = "#E69F00"

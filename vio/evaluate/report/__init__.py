@@ -1,0 +1,1 @@
+"""The report that opens offline: verdict, tables, plots, pictures."""
