@@ -166,7 +166,7 @@ def test_after_the_warm_up_a_run_compiles_nothing(tmp_path):
     code = f"""
 import sys
 sys.path[:0] = [{here!r}, {str(Path(here).parent)!r}]
-import vio.commands.replay_log as replay
+import vio.offline.replay as replay
 from cli_calls import tagvio
 from test_vio_run import compiled_signatures
 inner = replay.run

@@ -8,8 +8,8 @@ import typer
 from vio.commands import options as opt
 
 if TYPE_CHECKING:
-    from vio.commands.replay_log import Replayed
     from vio.evaluate.records import Window
+    from vio.offline.replay import Replayed
     from vio.sources.flight_log.log import FlightLog
 
 Align = Literal["none", "yaw", "se3"]
@@ -45,8 +45,8 @@ def command(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip
-    from vio.commands.replay_log import all_vo_arms, replay_log, run_summary
     from vio.evaluate.compare import write_json
+    from vio.offline.replay import all_vo_arms, replay_log, run_summary
 
     done = replay_log(
         choice, all_vo_arms, vo_only=vo_only, needs_truth=True, inspect=True, force=force
@@ -75,14 +75,14 @@ def judge(
     """Write what a comparison leaves in `out`, print its table; the content of comparison.json."""
     from rich.console import Console
 
-    from vio.commands.inspect_run import inspected
-    from vio.commands.replay_log import frame_counts, run_summary
     from vio.evaluate.compare import comparison_of, table, write_json
     from vio.evaluate.compare import judge as judge_one
     from vio.evaluate.report.png import write_pngs
     from vio.evaluate.report.report import write_report
     from vio.evaluate.truth import clean_truth
     from vio.localize.run import trajectory, tum_rows
+    from vio.offline.inspect import inspected
+    from vio.offline.replay import frame_counts, run_summary
     from vio.sinks.tum import write_tum
 
     log, result = done.log, done.result

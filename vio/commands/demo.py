@@ -36,8 +36,8 @@ def command(
     holds comparison.json, report.html and the trajectories.
     """
     from vio.commands.compare import judge
-    from vio.commands.replay_log import replay_log, vo_arms
     from vio.config.shipped import config_path
+    from vio.offline.replay import replay_log, vo_arms
 
     opt.make_folder(out)
     log = out / "log"

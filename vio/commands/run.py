@@ -39,9 +39,9 @@ def command(
     --live and --mcap show images with tags, the map, the body with its trail and covariance, and
     plots in Foxglove (extra `live`).
     """
-    from vio.commands.replay_log import replay_log, run_summary, vo_arms
     from vio.evaluate.compare import write_json
     from vio.localize.run import trajectory, tum_rows
+    from vio.offline.replay import replay_log, run_summary, vo_arms
     from vio.sinks.tum import write_tum
 
     choice = opt.Choice(

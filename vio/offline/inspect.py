@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tagvo.geometry import IntArray
-from vio.commands.replay_log import Replayed
 from vio.evaluate.breakdown import breakdown, up_of
 from vio.evaluate.compare import Judged
 from vio.evaluate.moved_tags import Judgement, judge_tags
@@ -15,6 +14,7 @@ from vio.evaluate.report.frame_picture import picture
 from vio.evaluate.report.report import Extra
 from vio.evaluate.report.sections import Picture, suspect_lines
 from vio.evaluate.truth import TruthTrack
+from vio.offline.replay import Replayed
 from vio.sources.flight_log.log import FlightLog
 
 if TYPE_CHECKING:

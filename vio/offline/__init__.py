@@ -1,0 +1,1 @@
+"""What the commands for recorded flights do, without their words."""
