@@ -7,8 +7,8 @@ from simulated import corners_seen, grid_map, pinhole, pose_above
 from tagvo.detect.peers import PlainAruco, PyAprilTags
 from tagvo.records import Detections, PosePrior
 from tagvo.render.view import render_view
-from vio.commands.bench_measure import REFERENCE, Score, _compare, figures, measure
-from vio.commands.bench_scenes import View, in_view
+from vio.bench.measure import REFERENCE, Score, _compare, figures, measure
+from vio.bench.scenes import View, in_view
 
 
 def scene(seed=1):

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from tagvo.camera.model import Camera
     from tagvo.tags.tag_map import TagMap
-    from vio.commands.bench_measure import Score
-    from vio.commands.bench_scenes import View
+    from vio.bench.measure import Score
+    from vio.bench.scenes import View
 
 _FRAMES = {"640x480": 16, "1280x720": 8, "1640x1232": 6}  # of each look
 _QUICK = {"640x480": 5}
@@ -43,7 +43,7 @@ def command(
     5 mm and 0.3 deg, as the filter knows it; detectors get the image alone. Recall is that of tags
     wholly in view, by the shortest side in pixels. pyapriltags takes part where it is installed.
     """
-    from vio.commands import bench_scenes as scenes
+    from vio.bench import scenes as scenes
 
     cases: list[tuple[str, TagMap, Camera, Iterable[View], int]] = []
     for size, count in (_QUICK if quick else _FRAMES).items():
@@ -72,8 +72,8 @@ def _run(
     cases: "list[tuple[str, TagMap, Camera, Iterable[View], int]]",
 ) -> "tuple[dict[str, Any], list[str], bool]":
     """Measure every case and print its table as soon as it is done."""
-    from vio.commands import bench_measure as bench
-    from vio.commands.bench_scenes import floor_and_camera
+    from vio.bench import measure as bench
+    from vio.bench.scenes import floor_and_camera
     from vio.localize.warmup import warm_tracker
 
     with opt.waiting("loading compiled code (the first run compiles it, up to two minutes)"):
@@ -100,7 +100,7 @@ def _run(
 
 def _table(title: str, scores: "dict[str, Score]") -> dict[str, Any]:
     """Print one scene; its figures by way."""
-    from vio.commands.bench_measure import BINS, REFERENCE, figures
+    from vio.bench.measure import BINS, REFERENCE, figures
 
     rows = {name: figures(score, scores.get(REFERENCE)) for name, score in scores.items()}
     head = " ".join(f"{low:>4d}+" for low in BINS)

@@ -17,7 +17,7 @@ from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
 from tagvo.tags.tag_map import TagMap
 from tagvo.track import Tracker
-from vio.commands.bench_scenes import View
+from vio.bench.scenes import View
 from vio.localize.stopwatch import clocks_ns, resident_mb
 
 REFERENCE = "apriltag-python, decimate 2"

@@ -1,0 +1,1 @@
+"""What `tagvio bench` measures, and on which scenes."""
