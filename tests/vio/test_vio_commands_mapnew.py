@@ -10,8 +10,7 @@ from scans import detect, pages
 
 from tagvo.maps.printing.cutting import PAPERS
 from tagvo.tags.tag_map import load_map
-from vio.commands import map_new
-from vio.commands.map_print import PaperName
+from vio.commands.map.printing import PaperName
 
 SMALL = ("--size", "1.2,1.5", "--sizes", "0.23,0.115,0.0575", "--steps", "30")
 

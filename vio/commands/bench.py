@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vio.commands import options as opt
-from vio.interrupt import gently
+from vio.commands.interrupt import gently
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

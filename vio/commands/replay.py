@@ -52,10 +52,10 @@ def command(
     if out is not None or sitl_port is not None:
         raise typer.BadParameter("goes with --sitl", param_hint="--out, --sitl-port")
     from vio.commands.daemon import start_log
+    from vio.commands.interrupt import gently
     from vio.commands.options import progress
     from vio.config import load_config
     from vio.daemon import main
-    from vio.interrupt import gently
     from vio.sources.flight_log.log import FlightLog
 
     start_log()

@@ -35,8 +35,8 @@ def replay_into_sitl(
     import numpy as np
 
     from tagvo.pipeline import TagVO
+    from vio.commands.interrupt import gently
     from vio.filter import eskf as flt
-    from vio.interrupt import gently
     from vio.localize.fused import VioArm
     from vio.localize.run import trajectory, tum_rows
     from vio.localize.warmup import warm_up

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tagvo.pipeline import TagVO
+from vio.commands.interrupt import gently
 from vio.commands.options import Choice, open_all, progress, waiting
 from vio.config import Config
 from vio.errors import EvaluationError, LogError
 from vio.filter import eskf as flt
-from vio.interrupt import gently
 from vio.localize.baselines import Estimator, VoArm, VoFirArm
 from vio.localize.fused import VioArm, VoKfArm
 from vio.localize.run import RunResult, Sink, run

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vio.commands import map_options as opt
+from vio.commands.map import options as opt
 from vio.commands.options import progress
 
 if TYPE_CHECKING:
