@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from tagvo.tags.tag_map import save_map as save_map
 
 _HOME = {
-    "Camera": "camera",
+    "Camera": "camera.model",
     "CameraError": "errors",
     "ConfigError": "errors",
     "Detections": "records",
@@ -38,17 +38,17 @@ _HOME = {
     "MapError": "errors",
     "PoseMeasurement": "records",
     "PosePrior": "records",
-    "TagMap": "tagmap",
+    "TagMap": "tags.tag_map",
     "TagVO": "pipeline",
     "TagvoConfig": "config",
     "TagvoError": "errors",
     "Trace": "pipeline",
-    "load_camera": "camera_io",
-    "load_map": "tagmap",
+    "load_camera": "camera.calibration",
+    "load_map": "tags.tag_map",
     "load_tagvo_config": "config",
-    "render_view": "render",
-    "save_camera": "camera_io",
-    "save_map": "tagmap",
+    "render_view": "render.view",
+    "save_camera": "camera.calibration",
+    "save_map": "tags.tag_map",
 }
 
 

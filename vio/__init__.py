@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _HOME = {
     "Config": "config",
     "EvaluationError": "errors",
-    "FlightLog": "sources.log",
+    "FlightLog": "sources.flight_log.log",
     "ImuSample": "records",
     "LogError": "errors",
     "Trajectory": "evaluate.records",

@@ -1,6 +1,6 @@
 """Pictures of a tag map by exact geometry: the truth that detectors and pipelines are tested on.
 
-`render_view` draws a clean map; `render_frame` (of `tagvo.imaging`) a whole scene through a moving
+`render_view` draws a clean map; `render_frame` (of `tagvo.render.frame`) a whole scene through a moving
 camera, with all that goes wrong there. Here grey values are proportional to light (no gamma), so
 that averaging over a pixel's area and over the exposure is averaging grey values. Pixel centres
 lie at integer coordinates; each pixel is the mean of supersample^2 rays spread over its area so

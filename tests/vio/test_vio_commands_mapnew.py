@@ -10,6 +10,7 @@ from scans import detect, pages
 
 from tagvo.maps.printing.cutting import PAPERS
 from tagvo.tags.tag_map import load_map
+from vio.commands.map import new
 from vio.commands.map.printing import PaperName
 
 SMALL = ("--size", "1.2,1.5", "--sizes", "0.23,0.115,0.0575", "--steps", "30")
@@ -62,7 +63,7 @@ def test_ctrl_c_ends_the_search_and_keeps_the_best_so_far(tmp_path, monkeypatch)
     def at_once():
         yield lambda: bool(asked.append(1)) or len(asked) > 5
 
-    monkeypatch.setattr(map_new, "gently", at_once)
+    monkeypatch.setattr(new, "gently", at_once)
     done = tagvio("map", "new", tmp_path / "m.yaml", *SMALL[:-2])
     assert done.code == 130
     assert "interrupted; the map is the best so far" in done.err

@@ -45,7 +45,7 @@ def test_the_numbers_are_mavlinks():
         "GPS_GLOBAL_ORIGIN_ID": m.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
         "AUTOPILOT_COMPONENT": m.MAV_COMP_ID_AUTOPILOT1,
     }  # fmt: skip
-    assert {name: getattr(fields, name) for name in names} == names
+    assert {name: getattr(messages, name) for name in names} == names
     assert MESSAGE_IDS["HIGHRES_IMU"] == 105
     assert m.MAV_COMP_ID_VISUAL_INERTIAL_ODOMETRY == 197
 

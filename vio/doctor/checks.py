@@ -1,7 +1,7 @@
 """All rules over all facts: what is wrong, the worst first."""
 
-from vio.doctor import ardupilot, delay, link, ports, px4, rules, state
 from vio.doctor.records import Facts, Finding, Severity
+from vio.doctor.rules import ardupilot, base, delay, link, ports, px4, state
 from vio.mavlink.messages import ARDUPILOT
 
 _ORDER = list(Severity)
@@ -13,7 +13,7 @@ def check(facts: Facts) -> list[Finding]:
     """Every finding, errors before warnings before what is good to know."""
     found = [finding for rule in (*link.RULES, *state.RULES) for finding in rule(facts)]
     if facts.params:
-        found += rules.check(param_rules(facts.autopilot), facts)
+        found += base.check(param_rules(facts.autopilot), facts)
         found += ports.check(facts)
         found += delay.check(facts)
     elif facts.alive:
@@ -24,7 +24,7 @@ def check(facts: Facts) -> list[Finding]:
     return sorted(found, key=lambda f: _ORDER.index(f.severity))
 
 
-def param_rules(autopilot: int) -> list[rules.ParamRule]:
+def param_rules(autopilot: int) -> list[base.ParamRule]:
     """The rules on single parameters of an autopilot (MAV_AUTOPILOT)."""
     return ardupilot.rules() if autopilot == ARDUPILOT else px4.rules()
 

@@ -51,7 +51,7 @@ NOISE = 8
 
 # one measurement as a row of numbers: kind, count, then its payload
 M_POSE, M_CORNERS, M_STILL, M_RIG, M_CLOCK, M_OPEN = 0, 1, 2, 3, 4, 5
-POSE_NUMBERS = 3 + 4 + 36 + 3  # pivot in C, q_WC, cov of both, pivot in W: see vio.pivot
+POSE_NUMBERS = 3 + 4 + 36 + 3  # pivot in C, q_WC, cov of both, pivot in W: see measurements.pivot
 TAG_NUMBERS = 78  # see vio.corners
 STILL_NUMBERS = 1  # variance of each velocity axis
 

@@ -1,6 +1,6 @@
 """Corrections of the error-state filter, compiled: a Cholesky-whitened downdate, reset included.
 
-A pose measurement observes the camera pose's error directly (`vio.pivot`, `vio.predicted`); tag
+A pose measurement observes the camera pose's error directly (`measurements.pivot`, `measurements.predicted`); tag
 corners do through their projection (`vio.corners`). P stays exactly symmetric throughout.
 """
 
@@ -199,7 +199,7 @@ def correct_pose(
     gate: float,
     y_white: Array,
 ) -> tuple[int, float]:
-    """Correct by a camera pose z (46,) of `vio.pivot`; what became of it, and its NIS.
+    """Correct by a camera pose z (46,) of `measurements.pivot`; what became of it, and its NIS.
 
     w (3,) gyro then; trust: what multiplies cov, and the shares of it that are the pose bias's, of
     position and of rotation; gate scales the 99.9 % limits (inf: no gate); y_white (6,) receives

@@ -105,7 +105,7 @@ def arena_yaml(seed: int = ARENA_SEED) -> str:
     head = (
         "# The floor of the paper's arena, 3 m x 5 m: x, y along the floor, z up, W at a corner.\n"
         "# tagStandard41h12, border sides 0.46, 0.23, 0.115 and 0.0575 m, printed without gaps.\n"
-        "# Made by: python -m tagvo.mapgen configs/maps/arena.yaml\n"
+        "# Made by: python -m tagvo.maps.design.paper_floor configs/maps/arena.yaml\n"
     )
     return head + map_to_yaml(arena_map(np.random.default_rng(seed)))
 

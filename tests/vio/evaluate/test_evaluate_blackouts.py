@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from vio.evaluate import plots, sections
 from vio.evaluate.filter_log import Diary
+from vio.evaluate.report import plots, sections
 
 
 def frames(hz, seconds=20.0):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vio.commands import map_new, map_print, map_views
+from vio.commands.map import new, printing, views
 
 if TYPE_CHECKING:
     from tagvo.tags.tag_map import TagMap
@@ -18,19 +18,19 @@ app = typer.Typer(
     no_args_is_help=True,
 )
 app.command("new", epilog="Example: tagvio map new hall.yaml --size 4,6 --heights 0.5,3")(
-    map_new.command
+    new.command
 )
 app.command(
     "print",
     epilog="Examples: tagvio map print hall.yaml hall.pdf --paper A0"
     " · tagvio map print hall.yaml hall.pdf --roll 914"
     " · tagvio map print hall.yaml tags.pdf --each --only-tags 3,17",
-)(map_print.command)
-app.command("views", epilog="Example: tagvio map views configs/maps/arena.yaml")(map_views.command)
+)(printing.command)
+app.command("views", epilog="Example: tagvio map views configs/maps/arena.yaml")(views.command)
 
 
 class MapFormat(StrEnum):
-    """Names of the map formats; a test holds them equal to `tagvo.mapformats.FORMATS`."""
+    """Names of the map formats; a test holds them equal to `tagvo.maps.formats.FORMATS`."""
 
     tagmap = "tagmap"
     apriltag_ros1 = "apriltag_ros1"

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class PaperName(StrEnum):
-    """Papers to choose from; a test holds them equal to `tagvo.mapprint.cutting.PAPERS`."""
+    """Papers to choose from; a test holds them equal to `tagvo.maps.printing.cutting.PAPERS`."""
 
     A4 = "A4"
     A3 = "A3"

@@ -1,7 +1,7 @@
 """Rules on the autopilot's ports: protocol, mode and baud rate of the one that we are on."""
 
-from vio.doctor import ardupilot, px4
 from vio.doctor.records import Change, Facts, Finding, Severity
+from vio.doctor.rules import ardupilot, px4
 from vio.mavlink.endpoint import needed_baud, parse_url
 from vio.mavlink.messages import ARDUPILOT
 

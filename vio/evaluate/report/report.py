@@ -11,12 +11,12 @@ import numpy as np
 from tagvo.geometry import IntArray
 from tagvo.tags.tag_map import TagMap
 from tagvo.textfile import write_atomic
-from vio.evaluate import plots, sections
 from vio.evaluate.align import Z_AXIS
 from vio.evaluate.compare import COLUMNS, Judged, judge, rows
 from vio.evaluate.filter_log import Diary
 from vio.evaluate.moved_tags import Judgement
 from vio.evaluate.records import Trajectory, TruthLike, Window
+from vio.evaluate.report import plots, sections
 from vio.evaluate.report.html import page
 from vio.evaluate.report.sections import Picture
 from vio.evaluate.report.verdict import label, verdict
