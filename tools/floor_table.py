@@ -18,7 +18,7 @@ from oracles.floor_study import Errors, Study, study, variants, views
 from simulated import HEIGHTS, arena, pinhole
 
 from tagvo.textfile import write_atomic
-from vio.commands.options import progress
+from vio.terminal import progress
 
 CASES = {"exact map": False, "misplaced tags": True}
 FIGURES = {  # heading: of which error, by what

@@ -19,8 +19,8 @@ from vio.commands import (
     warmup,
 )
 from vio.commands import map as map_commands
-from vio.commands.interrupt import interruptible
 from vio.errors import VioError
+from vio.interrupt import interruptible
 
 app = typer.Typer(
     name="tagvio",

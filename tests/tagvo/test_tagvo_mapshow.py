@@ -125,5 +125,8 @@ def test_grid_steps_are_round(extent, step):
 
 
 def test_matplotlib_is_imported_late():
-    code = "import sys, tagvo.maps.draw.page, tagvo.maps.formats; assert 'matplotlib' not in sys.modules"
+    code = (
+        "import sys, tagvo.maps.draw.page, tagvo.maps.formats;"
+        " assert 'matplotlib' not in sys.modules"
+    )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])

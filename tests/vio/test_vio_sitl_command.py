@@ -11,9 +11,9 @@ from fc_px4 import GOOD
 from fc_sitl import RunningArduPilot, RunningPx4
 from flying_log import write_flying_log
 
-from vio.commands.options import Choice
 from vio.commands.sitl_replay import replay_into_sitl
 from vio.errors import LogError
+from vio.offline.choice import Choice
 from vio.sinks.tum import read_tum
 
 

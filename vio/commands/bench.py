@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from vio.commands import options as opt
-from vio.commands.interrupt import gently
+from vio.interrupt import gently
+from vio.offline.choice import make_folder
+from vio.terminal import progress, waiting
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -55,7 +56,7 @@ def command(
         tag_map, camera, seen = scenes.photographs(photos)
         cases.append((f"photographs {photos.name}", tag_map, camera, seen, len(seen)))
     if out is not None:
-        opt.make_folder(out.parent)
+        make_folder(out.parent)
     results, missing, interrupted = _run(cases)
     for text in missing:
         typer.echo(f"left out: {text}", err=True)
@@ -76,7 +77,7 @@ def _run(
     from vio.bench.scenes import floor_and_camera
     from vio.localize.warmup import warm_tracker
 
-    with opt.waiting("loading compiled code (the first run compiles it, up to two minutes)"):
+    with waiting("loading compiled code (the first run compiles it, up to two minutes)"):
         warm_tracker(*floor_and_camera("640x480"))
     results: dict[str, Any] = {}
     missing: dict[str, None] = {}
@@ -88,7 +89,7 @@ def _run(
                 found, memory, absent = bench.ways(tag_map, camera)
                 made = {key: (found, memory)}
                 missing |= dict.fromkeys(absent)
-            with opt.progress(count, title) as step:
+            with progress(count, title) as step:
                 scores = bench.measure(views, tag_map, camera, made[key][0], step, stop)
             for name, score in scores.items():
                 score.memory_mb = made[key][1][name]

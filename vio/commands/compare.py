@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import typer
 
 from vio.commands import options as opt
+from vio.offline.choice import Choice
 
 if TYPE_CHECKING:
     from vio.evaluate.records import Window
@@ -41,7 +42,7 @@ def command(
     prints a table: `capture` compares a pose with truth at its own time, `now` compares what was
     known at each moment of truth. A tag that lies elsewhere than the map says is named.
     """
-    choice = opt.Choice(
+    choice = Choice(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vio.commands import options as opt
-from vio.commands.interrupt import gently
+from vio.interrupt import gently
+from vio.terminal import progress, waiting
 
 if TYPE_CHECKING:
     from vio.convert.records import Foreign
@@ -103,13 +104,13 @@ def command(
     if camera is not None:
         named["camera"] = "none"  # what is given wins, whatever the bag says
     kind, tally = _kind(out, files), Tally()
-    with opt.waiting("reading"):
+    with waiting("reading"):
         parts = [(path, read_foreign(path, tally, named, stamps, flat)) for path in files]
         found = shifted(together([*parts, *_tables(imu_csv, truth_csv, tally)]), moved)
     for note in found.notes:
         typer.echo(note, err=True)
     total = 0 if found.frames is None else found.frames.total
-    with gently() as stop, opt.progress(total, "writing frames") as step:
+    with gently() as stop, progress(total, "writing frames") as step:
         if kind == ".tum":
             said = write_truth(out, found)
         elif kind == ".mcap":

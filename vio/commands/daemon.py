@@ -25,9 +25,9 @@ def command(
     SIGTERM or Ctrl-C. Its log goes to stderr, a line a second; daemon.status_file holds all
     figures. tools/tagvio.service runs it under systemd.
     """
-    from vio.commands.interrupt import gently
     from vio.config import load_config
     from vio.daemon import main
+    from vio.interrupt import gently
 
     start_log()
     loaded = load_config(config, assignments or ())

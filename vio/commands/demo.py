@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vio.commands import options as opt
-from vio.commands.interrupt import gently
+from vio.interrupt import gently
+from vio.offline.choice import Choice, make_folder
+from vio.terminal import progress
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -39,14 +41,12 @@ def command(
     from vio.config.shipped import config_path
     from vio.offline.replay import replay_log, vo_arms
 
-    opt.make_folder(out)
+    make_folder(out)
     log = out / "log"
     _fly(log, quick)
     contents = {}
     for name, (title, config) in _RUNS.items():
-        choice = opt.Choice(
-            log, out / name, config_path(config), (), "imu0", False, None, 1, None, 0.0
-        )
+        choice = Choice(log, out / name, config_path(config), (), "imu0", False, None, 1, None, 0.0)
         arms, vo_only = (vo_arms, True) if name == "new" else (_vo_arm, False)
         done = replay_log(choice, arms, vo_only=vo_only, needs_truth=True, inspect=True)
         typer.echo(f"\n{title[0].upper()}{title[1:]}:")
@@ -84,7 +84,7 @@ def _fly(log: Path, quick: bool) -> None:
             writer.truth(*row)
         for sample in demo.imu_samples(flight, PIXHAWK, quick):
             writer.imu(sample)
-        with opt.progress(len(frame_ns), "rendering") as step, gently() as stop:
+        with progress(len(frame_ns), "rendering") as step, gently() as stop:
             for frame in demo.frames(flight, tag_map, camera, frame_ns, _WORKERS):
                 writer.frame(frame)
                 step()

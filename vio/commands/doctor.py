@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vio.commands import options as opt
+from vio.terminal import waiting
 
 if TYPE_CHECKING:
     from vio.config.mavlink import MavlinkConfig
@@ -100,9 +101,9 @@ def _examine(
     from vio.doctor import render
     from vio.doctor.checks import check
 
-    with opt.waiting(f"waiting for a heartbeat at {url}"):
+    with waiting(f"waiting for a heartbeat at {url}"):
         who = line.connect(_HEARTBEAT_S)
-    with opt.waiting(f"{who}: listening for {seconds:g} s"):
+    with waiting(f"{who}: listening for {seconds:g} s"):
         facts, kinds = line.examine(seconds)
     findings = check(facts)
     typer.echo(f"{who}, {'armed' if facts.armed else 'disarmed'}: {render.counts_text(findings)}")
@@ -140,7 +141,7 @@ def _fix(
         typer.echo(f"  {change.name}: {change.old:g} -> {change.new:g}")
     if not yes and not typer.confirm(f"Write these {len(changes)}?"):
         return facts, []
-    with opt.waiting("writing"):
+    with waiting("writing"):
         results = line.write(list(changes.values()), kinds)
     params, written = dict(facts.params), []
     for change in changes.values():

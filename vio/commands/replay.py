@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Literal
 import typer
 
 from vio.commands import options as opt
+from vio.offline.choice import Choice, make_folder
 
 if TYPE_CHECKING:
     from vio.daemon.main import Replayed
@@ -52,11 +53,11 @@ def command(
     if out is not None or sitl_port is not None:
         raise typer.BadParameter("goes with --sitl", param_hint="--out, --sitl-port")
     from vio.commands.daemon import start_log
-    from vio.commands.interrupt import gently
-    from vio.commands.options import progress
     from vio.config import load_config
     from vio.daemon import main
+    from vio.interrupt import gently
     from vio.sources.flight_log.log import FlightLog
+    from vio.terminal import progress
 
     start_log()
     opened = FlightLog.open(log, imu=imu, use_detections=detections)
@@ -81,10 +82,8 @@ def _into_sitl(
 
     if out is None:
         raise typer.BadParameter("--sitl needs a folder for what comes back", param_hint="--out")
-    opt.make_folder(out)
-    choice = opt.Choice(
-        log, out, config, tuple(assignments or ()), imu, detections, None, 1, None, 0.0
-    )
+    make_folder(out)
+    choice = Choice(log, out, config, tuple(assignments or ()), imu, detections, None, 1, None, 0.0)
     replay_into_sitl(choice, connect, sitl, port=port)
 
 

@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from vio.commands import options as opt
-from vio.commands.interrupt import gently
+from vio.interrupt import gently
+from vio.offline.choice import make_folder
+from vio.terminal import progress, waiting
 
 if TYPE_CHECKING:
     from vio.reproduce.orderings import Ordering
@@ -55,11 +57,11 @@ def command(
     from vio.reproduce.study import fly_all
     from vio.reproduce.tables import document
 
-    opt.make_folder(out)
+    make_folder(out)
     todo = tasks(seed, seeds, quick, not corners)
     _warm()
     found = []
-    with opt.progress(len(todo), "flying") as step, gently() as stop:
+    with progress(len(todo), "flying") as step, gently() as stop:
         for scores in fly_all(todo, out / "flown", jobs, cluster, step, stop):
             found.append(scores)
         interrupted = len(found) < len(todo)
@@ -92,7 +94,7 @@ def _warm() -> None:
     from vio.config.shipped import config_path
     from vio.localize.warmup import warm_renderer
 
-    with opt.waiting("loading compiled code (the first run compiles it, some minutes)"):
+    with waiting("loading compiled code (the first run compiles it, some minutes)"):
         warm_flight()
         floor, camera = config_path("maps/arena.yaml"), config_path("cameras/arena.yaml")
         warm_renderer(load_map(floor), load_camera(camera))

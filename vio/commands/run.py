@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from vio.commands import options as opt
+from vio.offline.choice import Choice
 
 
 def command(
@@ -44,7 +45,7 @@ def command(
     from vio.offline.replay import replay_log, run_summary, vo_arms
     from vio.sinks.tum import write_tum
 
-    choice = opt.Choice(
+    choice = Choice(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip

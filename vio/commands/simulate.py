@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vio.commands import options as opt
-from vio.commands.interrupt import gently
+from vio.interrupt import gently
+from vio.terminal import progress, waiting
 
 if TYPE_CHECKING:
     from vio.sim.recording import Recording
@@ -78,7 +79,7 @@ def command(
             "it picks an IMU of --along LOG2, which is not given", param_hint="--imu"
         )
     chosen = load_scenario(scenario, assignments or ())
-    with opt.waiting("planning the flight"):
+    with waiting("planning the flight"):
         recording = _recording(chosen, along, imu)
     for note in recording.notes:
         typer.echo(note, err=True)
@@ -119,7 +120,7 @@ def _write(
     from vio.sim.write_log import write_log
 
     what = "writing corners" if corners else "rendering"
-    with opt.progress(len(recording.frames), what) as step, gently() as stop:
+    with progress(len(recording.frames), what) as step, gently() as stop:
         drawn = frames(recording, scenario, corners=corners, workers=workers)
         with closing(drawn) as pictures:
             return write_log(out, recording, pictures, text, replace=replace, step=step, stop=stop)

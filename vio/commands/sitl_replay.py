@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from vio.commands import options as opt
+from vio.offline.choice import Choice, open_all
+from vio.terminal import progress, waiting
 
 if TYPE_CHECKING:
     from numpy.random import Generator
@@ -20,7 +21,7 @@ _SEED = 1
 
 
 def replay_into_sitl(
-    choice: opt.Choice,
+    choice: Choice,
     url: str,
     autopilot: Autopilot,
     rest_s: float = 30.0,
@@ -35,8 +36,8 @@ def replay_into_sitl(
     import numpy as np
 
     from tagvo.pipeline import TagVO
-    from vio.commands.interrupt import gently
     from vio.filter import eskf as flt
+    from vio.interrupt import gently
     from vio.localize.fused import VioArm
     from vio.localize.run import trajectory, tum_rows
     from vio.localize.warmup import warm_up
@@ -45,18 +46,18 @@ def replay_into_sitl(
     from vio.sitl.vision import LogVision
 
     assigned = (*choice.assignments, f"mavlink.url={url}", f"mavlink.autopilot={autopilot}")
-    log, config = opt.open_all(_with(choice, assigned))
+    log, config = open_all(_with(choice, assigned))
     R_BI = np.array(config.vehicle.T_BI)[:3, :3]
     rng = np.random.default_rng(_SEED)
     end = _end(autopilot, rng, port)
-    with opt.waiting("loading compiled code (the first run compiles it, up to a minute)"):
+    with waiting("loading compiled code (the first run compiles it, up to a minute)"):
         warm_up(log.camera, config.tagvo, config.vio)
     vo = TagVO(log.camera, log.tag_map, config.tagvo)
     core = flt.Estimator(
         config.vio, log.camera, log.imu_noise or flt.USUAL_NOISE, log.tag_map, config.tagvo.floor
     )
     arm = VioArm(core, vo, config.vio.update == "corners")
-    with opt.progress(log.frame_count, "frames") as step, gently() as stop:
+    with progress(log.frame_count, "frames") as step, gently() as stop:
         vision = LogVision(log, vo, arm, step)
         played = play(log, end, vision, config.mavlink, R_BI, rng, rest_s=rest_s, stop=stop)
         interrupted = stop()
@@ -71,7 +72,7 @@ def replay_into_sitl(
         raise typer.Exit(130)
 
 
-def _with(choice: opt.Choice, assignments: tuple[str, ...]) -> opt.Choice:
+def _with(choice: Choice, assignments: tuple[str, ...]) -> Choice:
     from dataclasses import replace
 
     return replace(choice, assignments=assignments)

@@ -2,7 +2,7 @@
 
 import typer
 
-from vio.commands import options as opt
+from vio.terminal import waiting
 
 
 def command() -> None:
@@ -11,7 +11,7 @@ def command() -> None:
     Takes two or three minutes on two cores after an installation or an update, and a moment when
     all is there; `run`, `compare` and `demo` do what they need of it at their start.
     """
-    with opt.waiting("compiling (the first time takes some minutes)"):
+    with waiting("compiling (the first time takes some minutes)"):
         import os
         from concurrent.futures import ProcessPoolExecutor
         from multiprocessing import get_context

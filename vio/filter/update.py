@@ -1,7 +1,7 @@
 """Corrections of the error-state filter, compiled: a Cholesky-whitened downdate, reset included.
 
-A pose measurement observes the camera pose's error directly (`measurements.pivot`, `measurements.predicted`); tag
-corners do through their projection (`vio.corners`). P stays exactly symmetric throughout.
+A pose measurement observes the camera pose's error directly (`measurements.pivot` and
+`measurements.predicted`); tag corners do through their projection (`measurements.corners`). P stays exactly symmetric throughout.
 """
 
 import math

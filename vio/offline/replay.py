@@ -8,21 +8,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tagvo.pipeline import TagVO
-from vio.commands.interrupt import gently
-from vio.commands.options import Choice, open_all, progress, waiting
 from vio.config import Config
 from vio.errors import EvaluationError, LogError
 from vio.filter import eskf as flt
+from vio.interrupt import gently
 from vio.localize.baselines import Estimator, VoArm, VoFirArm
 from vio.localize.fused import VioArm, VoKfArm
 from vio.localize.run import RunResult, Sink, run
 from vio.localize.stopwatch import Stopwatch
 from vio.localize.warmup import warm_all
+from vio.offline.choice import Choice, open_all
 from vio.setup_check.unmapped_tags import other_family
 from vio.setup_check.watch import SetupWatch
 from vio.sources.flight_log.log import FlightLog
 from vio.sources.flight_log.tally import Tally
 from vio.sources.imu_check import check_imu, check_stamps
+from vio.terminal import progress, waiting
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vio.commands.interrupt import gently
 from vio.commands.map import options as opt
 from vio.commands.map.views import echo_views
-from vio.commands.options import progress
+from vio.interrupt import gently
+from vio.terminal import progress
 
 if TYPE_CHECKING:
     from tagvo.maps.design.plan import MapWish, Plan

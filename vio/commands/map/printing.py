@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from vio.commands.options import OnlyTags, ids_of, progress
+from vio.commands.options import OnlyTags
+from vio.offline.choice import ids_of
+from vio.terminal import progress
 
 if TYPE_CHECKING:
     from tagvo.maps.printing import Print

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from vio.commands.map import options as opt
-from vio.commands.options import progress
+from vio.terminal import progress
 
 if TYPE_CHECKING:
     from tagvo.camera.model import Camera

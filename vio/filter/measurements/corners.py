@@ -1,8 +1,8 @@
 """Tight correction by tag corners: eight reprojection residuals a tag, gated tag by tag.
 
-Each tag's residuals see the error xi of the camera pose (`vio.filter.update`) through the projection; their
-covariance is the corners' noise plus the tag's laying errors, marginalised. What the accepted tags
-know of xi is gathered in information form, then one six-row correction applies it.
+Each tag's residuals see the error xi of the camera pose (`vio.filter.update`) through the
+projection; their covariance is the corners' noise plus the tag's laying errors, marginalised. What
+the accepted tags know of xi is gathered in information form, then one six-row correction applies it.
 """
 
 import numpy as np

@@ -63,7 +63,7 @@ def camera_jacobian(x: Array, w: Array, H: Array) -> None:
 
 @njit
 def pose_residual(x: Array, z: Array, r: Array, y: Array, R_WC: Array) -> None:
-    """r (6,) := measured minus predicted pivot in C [m] and rotation [rad]; z from `measurements.pivot`.
+    """r (6,) := measured minus predicted pivot in C [m] and rotation [rad]; z: see `pivot`.
 
     y (3,) receives the predicted pivot in C, R_WC (3, 3) the predicted rotation.
     """
