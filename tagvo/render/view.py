@@ -1,11 +1,11 @@
 """Pictures of a tag map by exact geometry: the truth that detectors and pipelines are tested on.
 
 `render_view` draws a clean map; `render_frame` (of `tagvo.render.frame`) a whole scene through a
-moving camera, with all that goes wrong there. Here grey values are proportional to light (no gamma), so
-that averaging over a pixel's area and over the exposure is averaging grey values. Pixel centres
-lie at integer coordinates; each pixel is the mean of supersample^2 rays spread over its area so
-that no two share a column or a row of the finer grid: an edge along the pixels is resolved to
-1/supersample^2 px.
+moving camera, with all that goes wrong there. Here grey values are proportional to light (no
+gamma), so that averaging over a pixel's area and over the exposure is averaging grey values. Pixel
+centres lie at integer coordinates; each pixel is the mean of supersample^2 rays spread over its
+area so that no two share a column or a row of the finer grid: an edge along the pixels is resolved
+to 1/supersample^2 px.
 """
 
 from dataclasses import dataclass

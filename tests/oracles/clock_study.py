@@ -1,6 +1,6 @@
 """Recorded companion links through the live IMU source: its stamps against two-sided references.
 
-For tests/vio/test_vio_clock_recorded.py and tools/clock_study.py.
+For tests/vio/mavlink/test_mavlink_clock_recorded.py and tools/clock_study.py.
 """
 
 import struct

@@ -1,6 +1,6 @@
 """Real photographs against motion capture: the one measurement here that nobody simulated.
 
-Shared by tools/eval_mocap.py and test_tagvo_mocap.py. Frames: M motion capture, B the camera's
+Shared by tools/eval_mocap.py and test_pose_mocap.py. Frames: M motion capture, B the camera's
 marker body, G the board's marker grid, C camera, W the printed board (the tag map). T_BC and T_GW
 are not given: they are fitted on all photographs but one, and judge that one.
 """

@@ -1,7 +1,8 @@
 """Corrections of the error-state filter, compiled: a Cholesky-whitened downdate, reset included.
 
 A pose measurement observes the camera pose's error directly (`measurements.pivot` and
-`measurements.predicted`); tag corners do through their projection (`measurements.corners`). P stays exactly symmetric throughout.
+`measurements.predicted`); tag corners do through their projection (`measurements.corners`). P stays
+exactly symmetric throughout.
 """
 
 import math

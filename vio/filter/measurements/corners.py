@@ -2,7 +2,7 @@
 
 Each tag's residuals see the error xi of the camera pose (`vio.filter.update`) through the
 projection; their covariance is the corners' noise plus the tag's laying errors, marginalised. What
-the accepted tags know of xi is gathered in information form, then one six-row correction applies it.
+the accepted tags know of xi is gathered in information form; one six-row correction applies it.
 """
 
 import numpy as np

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from pymavlink import mavparm
 
-SETS = Path(__file__).parents[2] / "configs" / "autopilot"
+SETS = Path(__file__).parents[3] / "configs" / "autopilot"
 ARDUPILOT = {
     "AHRS_EKF_TYPE": 3, "EK3_ENABLE": 1, "EK2_ENABLE": 0, "GPS1_TYPE": 0, "COMPASS_ENABLE": 0,
     "VISO_TYPE": 1, "VISO_POS_M_NSE": 0.1, "VISO_YAW_M_NSE": 0.1, "VISO_QUAL_MIN": 0,

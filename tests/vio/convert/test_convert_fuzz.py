@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("rosbags")
 pytest.importorskip("pyulog")
-FUZZ = Path(__file__).parents[2] / "tools/fuzz.py"
+FUZZ = Path(__file__).parents[3] / "tools/fuzz.py"
 
 
 def fuzz(*words) -> subprocess.CompletedProcess[str]:

@@ -11,7 +11,7 @@ import pytest
 from cli_calls import tagvio
 from flying_log import write_flying_log
 from numpy.testing import assert_allclose, assert_array_equal
-from test_vio_simulate import MORE
+from test_commands_simulate import MORE
 
 from tagvo import geometry as geo
 from tagvo.records import Frame

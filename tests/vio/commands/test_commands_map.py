@@ -134,4 +134,4 @@ def test_help_shows_examples_and_imports_nothing_heavy():
         "import sys, vio.commands.map; heavy = {'numpy', 'cv2', 'scipy', 'matplotlib', 'yaml'}"
         "; assert not heavy & set(sys.modules), heavy & set(sys.modules)"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[3])

@@ -260,14 +260,14 @@ def test_an_autopilot_that_signs_and_answers_nothing_is_named_by_the_daemon(flyi
 
 
 def test_a_crash_loop_is_never_given_up_and_waits_for_no_compiler():
-    unit = (Path(__file__).parents[2] / "tools/tagvio.service").read_text()
+    unit = (Path(__file__).parents[3] / "tools/tagvio.service").read_text()
     lines = unit.splitlines()
     assert {"RestartSec=0.2", "StartLimitIntervalSec=0", "Restart=always"} <= set(lines)
     assert not [line for line in lines if line.startswith("ExecStartPre")]
 
 
 def test_cameras_and_maps_load_by_a_name_as_by_a_path():
-    configs = Path(__file__).parents[2] / "configs"
+    configs = Path(__file__).parents[3] / "configs"
     assert tagvo.load_camera(str(configs / "cameras/arena.yaml")).resolution == (640, 480)
     assert len(tagvo.load_map(str(configs / "maps/arena.yaml")).tag_id) > 0
 

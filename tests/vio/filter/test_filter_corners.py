@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from test_vio_eskf import W, predicted, spread_of
-from test_vio_imu import a_state, minus, retract
+from test_filter_propagation import a_state, minus, retract
+from test_filter_update import W, predicted, spread_of
 
 from tagvo import geometry as geo
 from tagvo.config import FloorConfig

@@ -220,7 +220,7 @@ def test_the_smallest_size_gets_twice_the_share():
 
 
 def test_the_arena_stays_as_it_was_published():
-    committed = Path(__file__).parents[2] / "configs/maps/arena.yaml"
+    committed = Path(__file__).parents[3] / "configs/maps/arena.yaml"
     text = committed.read_text(encoding="utf-8")
     assert text.count("\n") == 418
     from tagvo.maps.design.paper_floor import arena_yaml

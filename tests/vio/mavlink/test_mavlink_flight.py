@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from flights import CAMERA, Estimator, ImuSample, PoseNoise, events, feed, fly
-from test_vio_mavlink_companion import beat
+from test_mavlink_protocol import beat
 
 from tagvo.records import PoseMeasurement
 from vio.config.filter import VioConfig

@@ -11,7 +11,7 @@ from tagvo.config import TagvoConfig, load_tagvo_config
 from tagvo.errors import ConfigError
 from vio.config import Config, load_config
 
-CONFIGS = Path(__file__).parents[2] / "configs"
+CONFIGS = Path(__file__).parents[3] / "configs"
 PAPER = {  # the paper's columns: select, outliers, weights, mean
     "JBT": ("JBT", "none", "W2", "QL2"),
     "ALL-notOR": ("ALL", "none", "W2", "QL2"),

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).parents[1] / "oracles"))
+sys.path.append(str(Path(__file__).parents[2] / "oracles"))
 
 from soak_flight import soak
 

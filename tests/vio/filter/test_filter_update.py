@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from test_vio_imu import a_state, minus, retract
+from test_filter_propagation import a_state, minus, retract
 
 from tagvo import geometry as geo
 from tagvo.records import PoseMeasurement

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-TOOL = Path(__file__).parents[2] / "tools/peers.py"
+TOOL = Path(__file__).parents[3] / "tools/peers.py"
 
 
 def test_mavsdk_gets_every_pose_once_and_in_order():

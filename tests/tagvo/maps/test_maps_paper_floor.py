@@ -17,7 +17,7 @@ from tagvo.maps.design.paper_floor import (
 )
 from tagvo.tags.tag_map import load_map
 
-ARENA = Path(__file__).parents[2] / "configs" / "maps" / "arena.yaml"
+ARENA = Path(__file__).parents[3] / "configs" / "maps" / "arena.yaml"
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from tagvo.maps.formats import read_map_file
 DATA = os.environ.get("TAGVIO_DATA")
 CASES = Path(DATA).parent / "cases" if DATA else Path("nowhere")
 pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="TAGVIO_DATA has no cases beside it")
-ARENA = Path(__file__).parents[2] / "configs/maps/arena.yaml"
+ARENA = Path(__file__).parents[3] / "configs/maps/arena.yaml"
 T_CAM_IMU = "[[0, -1, 0, 0], [-1, 0, 0, 0.1], [0, 0, -1, -0.05], [0, 0, 0, 1]]"
 
 

@@ -129,4 +129,4 @@ def test_matplotlib_is_imported_late():
         "import sys, tagvo.maps.draw.page, tagvo.maps.formats;"
         " assert 'matplotlib' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[3])
