@@ -18,7 +18,6 @@ from vio.config.filter import HealthConfig
 from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError
 from vio.filter.health import Health
-from vio.mavlink.binding import Binding, Claim
 from vio.mavlink.codec import MESSAGE_IDS, Codec, read_key
 from vio.mavlink.endpoint import check_baud, parse_url
 from vio.mavlink.messages import INFO, WARNING, Outgoing
@@ -26,7 +25,7 @@ from vio.mavlink.persistent_state import Saved, first_counter, load_saved, save
 from vio.mavlink.protocol import Companion
 from vio.mavlink.traffic import Traffic
 from vio.mavlink.transport import Peer, Transport, open_transport
-from vio.mavlink.vehicle import NAMES, is_vehicle
+from vio.mavlink.vehicle import NAMES, Binding, Claim, is_vehicle
 from vio.records import Moment
 
 LOG = logging.getLogger("vio.mavlink")

@@ -1,6 +1,8 @@
-"""Who is at the other end: which autopilot was heard, whether it is there, and armed."""
+"""Who is at the other end: which autopilot, whether it is there, armed, and whose frames count."""
 
 import logging
+from collections import Counter
+from enum import StrEnum
 from typing import Any
 
 from vio.config.mavlink import MavlinkConfig
@@ -15,6 +17,8 @@ _NUMBERS = {"ardupilot": ARDUPILOT, "px4": PX4}
 NEVER_VEHICLES = frozenset({5, 6, 18, 26, 27, *range(30, 35), *range(36, 43)})
 _ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 _SILENT_NS = 3_500_000_000  # three heartbeats are missing
+_TALKS_NS = 500_000_000  # after so long a silence the same ids from elsewhere are the same vehicle
+_SAY_NS = 1_000_000_000  # a flood of refused frames is one line a second
 
 
 def is_vehicle(message: Any) -> bool:
@@ -82,3 +86,61 @@ class Vehicle:
             self._lost = True
             LOG.warning("%s is silent for %.1f s", self.name, (now_ns - self._heard_ns) * 1e-9)
         return not self._lost
+
+
+Address = tuple[str, int] | None
+
+
+class Claim(StrEnum):
+    """What becomes of a frame: REFUSED ones are not heard, ADOPTED ones move the link."""
+
+    HEARD = "heard"
+    ADOPTED = "adopted"
+    REFUSED = "refused"
+
+
+class Binding:
+    """One vehicle's address on a link where anybody may send; where there are none, ids decide.
+
+    `counters` says how many frames were refused and how often the address moved.
+    """
+
+    def __init__(self) -> None:
+        self.address: Address = None
+        self.counters: Counter[str] = Counter()
+        self._heard_ns: int | None = None
+        self._said: dict[Address, int] = {}
+
+    def bind(self, address: Address, now_ns: int) -> None:
+        """The vehicle speaks from here."""
+        self.address, self._heard_ns = address, now_ns
+
+    def judge(self, address: Address, ids: bool, now_ns: int) -> Claim:
+        """About a frame that counts: whole, and signed where frames must be; ids: the vehicle's."""
+        if address is None:
+            return Claim.HEARD
+        if address == self.address:
+            self._heard_ns = now_ns
+            return Claim.HEARD
+        if not ids or self.address is None:
+            return Claim.HEARD
+        if self._heard_ns is not None and now_ns - self._heard_ns <= _TALKS_NS:
+            self._refuse(address, now_ns)
+            return Claim.REFUSED
+        LOG.warning("the vehicle now speaks from %s:%d, before from %s:%d: poses go there",
+                    *address, *self.address)  # fmt: skip
+        self.counters["address_moved"] += 1
+        self.bind(address, now_ns)
+        return Claim.ADOPTED
+
+    def _refuse(self, address: Address, now_ns: int) -> None:
+        self.counters["refused"] += 1
+        if address in self._said or len(self._said) > 100:
+            return
+        last = max(self._said.values(), default=now_ns - _SAY_NS)
+        if address is not None and self.address is not None and now_ns - last >= _SAY_NS:
+            self._said[address] = now_ns
+            LOG.warning(
+                "%s:%d claims to be the vehicle, which speaks from %s:%d: refused",
+                *address, *self.address,
+            )  # fmt: skip

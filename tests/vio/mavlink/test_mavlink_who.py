@@ -14,11 +14,10 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 import tagvo
 from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError
-from vio.mavlink.binding import Binding, Claim
 from vio.mavlink.bridge import Bridge, now_ns
 from vio.mavlink.codec import Codec, mavlink
 from vio.mavlink.traffic import Traffic
-from vio.mavlink.vehicle import Vehicle
+from vio.mavlink.vehicle import Binding, Claim, Vehicle
 from vio.records import Moment, NavState
 
 S, MS = 10**9, 10**6
