@@ -33,7 +33,7 @@ from vio.config.filter import VioConfig
 from vio.evaluate.metrics import capture_errors, now_errors, stats
 from vio.evaluate.records import Window, take
 from vio.evaluate.truth import clean_truth
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.localize.baselines import VoArm
 from vio.localize.fused import VioArm
 from vio.localize.run import run, trajectory
@@ -133,7 +133,9 @@ def fly(log: Path, update: str):
     opened = FlightLog.open(log, use_detections=True)
     vo = TagVO(opened.camera, opened.tag_map, TagvoConfig())
     config = VioConfig(update=update)
-    core = Estimator(config, opened.camera, opened.imu_noise, opened.tag_map, vo.config.floor)
+    core = ErrorStateFilter(
+        config, opened.camera, opened.imu_noise, opened.tag_map, vo.config.floor
+    )
     arms = [VoArm(opened.camera), VioArm(core, vo, update == "corners")]
     result = run(opened.events(), vo, arms, Stopwatch())
     truth, state = clean_truth(opened.truth), core.state()

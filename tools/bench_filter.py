@@ -15,10 +15,9 @@ import time
 
 import numpy as np
 
-WORK = "import tools.bench_filter as b; b.filled_window(27).insert(*b.late_pose(0))"
+WORK = "import tools.bench_filter as b; b.filled_history(['pose_bias']).insert(*b.late_pose(0))"
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
-PAR = np.array([4.0, 1.0, 1.0, -1.0])
-TRUST = (4.0, 0.3, 0.15)  # inflation, shares of the pose bias: of position, of rotation
+SHARES = (0.3, 0.15)  # of the pose bias: of position, of rotation
 
 
 def median_us(work, repeat):
@@ -36,14 +35,14 @@ def a_state(n):
     from vio.filter.adaptive_noise import no_memory
 
     x = np.zeros(at.NOMINAL)
-    x[[at.X_Q, at.X_QIC, at.X_QWG]] = 1.0
+    x[[at.X_Q, at.X_QIC, at.X_QWL]] = 1.0
     x[at.X_RECENT :] = no_memory()
     return x, 1e-4 * np.eye(n)
 
 
 def noise():
     from vio.config.filter import VioConfig
-    from vio.filter.eskf import process_noise
+    from vio.filter.noise_model import process_noise
     from vio.sim.sensors.simple_imu import PIXHAWK
 
     return process_noise(PIXHAWK, VioConfig())
@@ -52,56 +51,61 @@ def noise():
 def late_pose(i):
     """Stamp and row of a pose about 90 ms before the window's end, another one each time."""
     from tagvo.records import PoseMeasurement
-    from vio.filter.measurements.pivot import pose_row
+    from vio.filter.measurements import pose
 
     t_ns = 910_000_000 + i
-    return t_ns, pose_row(PoseMeasurement(t_ns, np.zeros(3), np.eye(3), 1e-3 * np.eye(6), (0,)))
+    return t_ns, pose.pack(PoseMeasurement(t_ns, np.zeros(3), np.eye(3), 1e-3 * np.eye(6), (0,)))
 
 
-def filled_window(n):
-    """One second of IMU at 200 Hz."""
+def filled_history(on):
+    """One second of IMU at 200 Hz; on: the switches of the state's blocks."""
     from vio.filter import state as at
-    from vio.filter.history import Window
+    from vio.filter.adaptive_noise import NoisePolicy
+    from vio.filter.history import History
+    from vio.filter.measurements import kinds, pose
+    from vio.filter.noise_model import Model
 
-    window = Window(n, 300, 5000, 2 + at.POSE_NUMBERS, noise(), PAR)
-    window.start(0, *a_state(n))
+    layout, policy = at.layout(on), NoisePolicy(4.0, True, False, 0.0, 1.0)
+    history = History((300, 5000, kinds.HEAD + pose.NUMBERS), Model(noise(), policy, layout))
+    history.start(0, *a_state(layout.n))
     for k in range(1, 201):
-        window.add_interval(k * 5_000_000, np.zeros(3), np.array([0.0, 0.0, 9.81]), np.ones(6))
-    return window
+        history.add_interval(k * 5_000_000, np.zeros(3), np.array([0.0, 0.0, 9.81]), np.ones(6))
+    return history
 
 
-def ours(n, repeat):
+def ours(on, repeat):
     from vio.filter import state as at
+    from vio.filter.adaptive_noise import Trust
+    from vio.filter.measurements import kinds, pose
     from vio.filter.propagation import propagate
-    from vio.filter.update import correct_pose
 
     q, w, rates = noise(), np.zeros(3), np.array([0.0] * 5 + [9.81] + [1.0] * 6)
-    z, y = late_pose(0)[1][2:], np.empty(6)
-    x, P = a_state(n)
-    propagate(x, P, rates, 0.005, q)
-    predict = median_us(lambda: propagate(x, P, rates, 0.005, q), repeat)
-    P0 = 1e-4 * np.eye(n)
-    trust = TRUST if n >= at.WITH_BIAS else (TRUST[0], 0.0, 0.0)
-    correct_pose(x, P, w, z, trust, 1.0, y)
+    z, y, layout = late_pose(0)[1][kinds.HEAD :], np.empty(6), at.layout(on)
+    x, P = a_state(layout.n)
+    propagate(x, P, rates, 0.005, q, layout)
+    predict = median_us(lambda: propagate(x, P, rates, 0.005, q, layout), repeat)
+    P0 = 1e-4 * np.eye(layout.n)
+    trust = Trust(4.0, *(SHARES if "pose_bias" in on else (0.0, 0.0)), 1.0)
+    pose.update(x, P, w, z, trust, y, layout)
 
     def fresh(i):
         P[:] = P0
-        return (x, P, w, z, trust, 1.0, y)
+        return (x, P, w, z, trust, y, layout)
 
-    return predict, median_us((correct_pose, fresh), repeat)
+    return predict, median_us((pose.update, fresh), repeat)
 
 
-def delayed(n, repeat):
-    """A pose 90 ms late: rewind, insert, 18 IMU steps again; the window is fresh each time."""
-    window = filled_window(n)
+def delayed(on, repeat):
+    """A pose 90 ms late: rewind, insert, 18 IMU steps again; the history is fresh each time."""
+    history = filled_history(on)
     row = late_pose(0)[1]
-    window.insert(910_000_000, row)
+    history.insert(910_000_000, row)
 
     def fresh(i):
-        window.count = 0
+        history.count = 0
         return (910_000_000, row)
 
-    return median_us((window.insert, fresh), repeat)
+    return median_us((history.insert, fresh), repeat)
 
 
 def theirs(n, repeat):
@@ -136,8 +140,8 @@ def main():
     parser.add_argument("--no-compile", action="store_true", help="leave the compile times out")
     args = parser.parse_args()
     print("median us            predict  update  90 ms late, with its replay")
-    for n in (21, 27, 30):
-        (a, b), c = ours(n, args.repeat), delayed(n, args.repeat)
+    for n, on in ((21, []), (27, ["pose_bias"]), (30, ["pose_bias", "lever_arm"])):
+        (a, b), c = ours(on, args.repeat), delayed(on, args.repeat)
         p, u = theirs(n, args.repeat)
         print(f"{n} states, ours     {a:7.2f} {b:7.2f} {c:8.1f}")
         print(

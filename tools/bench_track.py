@@ -36,7 +36,7 @@ from tagvo.pipeline import TagVO
 from tagvo.records import Frame
 from tagvo.render.view import Look, displaced, render_view
 from vio.config.filter import VioConfig
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.localize.fused import VioArm
 from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
 from vio.sim.world.trajectory import FLIGHTS
@@ -55,7 +55,7 @@ class Arm:
     def __init__(self, settings: dict, tag_map, start) -> None:
         config = TagvoConfig.model_validate(settings)
         self.vo = TagVO(CAM, tag_map, config, lap=self._lap)
-        core = Estimator(VioConfig(), CAM, PIXHAWK, tag_map, config.floor)
+        core = ErrorStateFilter(VioConfig(), CAM, PIXHAWK, tag_map, config.floor)
         self.arm = VioArm(core, self.vo)
         self.wall, self.cpu, self.how, self.corner, self.error = [], [], Counter(), [], []
         self.stages: dict[str, list[float]] = {}

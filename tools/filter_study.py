@@ -24,7 +24,7 @@ from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import PoseMeasurement
 from vio.config.filter import PriorConfig, VioConfig
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.records import ImuSample
 from vio.sim.sensors.pose_noise import PoseNoise, PoseStream, simulate_poses, wrong_rig
 from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
@@ -74,7 +74,7 @@ def april_row(folder, mode, latency, choice, prior):
     tagvo = TagvoConfig(ambiguity="prior" if prior else "consistent")
     vo = TagVO(log.camera, log.tag_map, tagvo)
     config = VioConfig(update=mode)
-    estimator = Estimator(config, log.camera, log.imu_noise, log.tag_map, tagvo.floor)
+    estimator = ErrorStateFilter(config, log.camera, log.imu_noise, log.tag_map, tagvo.floor)
     events, held, vio, last = list(log.events()), [], Errors(), None
     truth = [(int(t), 2, i) for i, t in enumerate(log.truth.t_ns)]
     known = [(e.arrival_ns if e.arrival_ns is not None else e.t_ns) for e in events]
@@ -119,7 +119,9 @@ def synthesised(folder, imu_name, seed, hz, metres, deg, blackout, span=None):
     rng, tally = np.random.default_rng(seed), Tally()
     imu = read_imu(folder / "mav0" / imu_name / "data.csv", tally)
     truth = read_truth(folder / "mav0/state_groundtruth_estimate0/data.csv", tally)
-    estimator = Estimator(VioConfig(), IDENTITY, read_imu_noise(folder / "imu.yaml", imu_name))
+    estimator = ErrorStateFilter(
+        VioConfig(), IDENTITY, read_imu_noise(folder / "imu.yaml", imu_name)
+    )
     t0, t1 = span or (int(imu.t_ns[0]), int(imu.t_ns[-1]))
     step = max(1, round(1e9 / hz / float(np.median(np.diff(truth.t_ns)))))
     cov = np.diag(np.repeat([metres**2, np.radians(deg) ** 2], 3))
@@ -220,7 +222,7 @@ def flown(flight, duration, seed, told, noise, begin_s=0.0, whole=False):
     if told:
         config, stream = told_noise(stream, told == "everything")
         rig = RIG if told == "everything" else rig
-    estimator = Estimator(config, rig, PIXHAWK)
+    estimator = ErrorStateFilter(config, rig, PIXHAWK)
     truth, out, t_s = flight(imu.t_ns * 1e-9), Errors(), []
     events = [(int(t), 0, i) for i, t in enumerate(imu.t_ns) if t >= begin_s * 1e9]
     events += [(int(t), 1, i) for i, t in enumerate(stream.arrival_ns) if t > begin_s * 1e9]

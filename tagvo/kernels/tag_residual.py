@@ -11,7 +11,8 @@ import numpy as np
 
 from tagvo.geometry import Array, IntArray
 from tagvo.kernels import projection
-from tagvo.kernels.jit import add_square, bare, cholesky, inverse_spd, njit
+from tagvo.kernels.jit import bare, njit
+from tagvo.kernels.linalg import add_square, cholesky, inverse_spd
 
 SYSTEMATIC = 3  # focal length, principal point u, principal point v
 
@@ -20,8 +21,8 @@ class TagBatch(NamedTuple):
     """All that the kernels need of n observed tags.
 
     R_WT (n, 3, 3), p_WT (n, 3), corners_T (n, 4, 3), laying (n, 6): from the map; corners_n
-    (n, 4, 2), J_px_n (n, 4, 2, 2), sigma_px (n, 4): as in Observations; offset_px (n, 4, 2):
-    corners less the principal point; floor (2,): FloorConfig's [focal_rel, principal_px].
+    (n, 4, 2), J_px_n (n, 4, 2, 2), sigma_px (n, 4): as in Observations; shift_px (n, 8, 3): of the
+    corners by one sigma of each error common to all tags, see `systematic_shift`.
     """
 
     R_WT: Array
@@ -31,8 +32,7 @@ class TagBatch(NamedTuple):
     corners_n: Array
     J_px_n: Array
     sigma_px: Array
-    offset_px: Array
-    floor: Array
+    shift_px: Array
 
 
 @bare
@@ -61,33 +61,42 @@ def tag_rows(
 
 
 @bare
-def residual_factor(L: Array, laying: Array, sigma_px: Array, factor: Array) -> bool:
-    """Cholesky factor (8, 8) of S; L (8, 6), laying (6,) sigmas [m, rad], sigma_px (4,)."""
+def residual_covariance(L: Array, laying: Array, sigma_px: Array, S: Array) -> None:
+    """S (8, 8), its lower triangle; L (8, 6), laying (6,) sigmas [m, rad], sigma_px (4,)."""
     for i in range(8):
         for j in range(i + 1):
-            factor[i, j] = 0.0
+            S[i, j] = 0.0
     for k in range(6):
         variance = laying[k] * laying[k]
         for i in range(8):
             v = L[i, k] * variance
             for j in range(i + 1):
-                factor[i, j] += v * L[j, k]
+                S[i, j] += v * L[j, k]
     for i in range(8):
-        factor[i, i] += sigma_px[i // 2] * sigma_px[i // 2]
-    return cholesky(factor)
+        S[i, i] += sigma_px[i // 2] * sigma_px[i // 2]
 
 
 @bare
-def systematic_rows(offset_px: Array, floor: Array, B: Array) -> None:
-    """B (8, 3): shift of the corners by one sigma of [focal, principal u, principal v] [px].
+def residual_factor(L: Array, laying: Array, sigma_px: Array, factor: Array) -> bool:
+    """Cholesky factor (8, 8) of S; False: S is not positive."""
+    residual_covariance(L, laying, sigma_px, factor)
+    return cholesky(factor)
 
-    offset_px (4, 2): corners less the principal point; floor (2,): [focal_rel, principal_px].
+
+@njit
+def systematic_shift(offset_px: Array, focal_rel: float, principal_px: float) -> Array:
+    """Shift of the corners by one sigma of [focal, principal u, principal v] [px]; (n, 8, 3).
+
+    offset_px (n, 4, 2): corners less the principal point; focal_rel: sigma of the focal length as a
+    share of it; principal_px: of either coordinate of the principal point.
     """
-    for c in range(4):
-        for i in range(2):
-            B[2 * c + i, 0] = offset_px[c, i] * floor[0]
-            B[2 * c + i, 1] = floor[1] if i == 0 else 0.0
-            B[2 * c + i, 2] = floor[1] if i == 1 else 0.0
+    out = np.zeros((len(offset_px), 8, SYSTEMATIC))
+    for n in range(len(offset_px)):
+        for c in range(4):
+            for i in range(2):
+                out[n, 2 * c + i, 0] = offset_px[n, c, i] * focal_rel
+                out[n, 2 * c + i, 1 + i] = principal_px
+    return out
 
 
 @njit
@@ -101,13 +110,13 @@ def mean_covariance(
     shift by the tag's laying error, D the mean's shift by one sigma of each systematic error;
     [p_WC in W, right rotation in C]. NaN where a tag lies behind the camera or is seen edge-on.
     """
-    rows, L, B = np.empty((8, 7)), np.empty((8, 6)), np.empty((8, 3))
+    rows, L = np.empty((8, 7)), np.empty((8, 6))
     H, H_inv, gain, small = np.empty((6, 6)), np.empty((6, 6)), np.empty(8), np.empty((16, 3))
     P, D, G = np.zeros((6, 6)), np.zeros((6, SYSTEMATIC)), np.empty((6, 6))
     for at in range(len(used)):
         i, w = used[at], weight[at]
         good = tag_rows(R_WC, p_WC, tags, i, rows, L, small)
-        systematic_rows(tags.offset_px[i], tags.floor, B)
+        B = tags.shift_px[i]
         for k in range(8):
             rows[k] /= tags.sigma_px[i, k // 2]
         accumulate(rows[:, 1:], H)

@@ -5,7 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from tagvo.geometry import Array
-from tagvo.kernels.jit import njit, quaternion, rotation
+from tagvo.kernels.jit import njit
+from tagvo.kernels.so3 import matrix_into, quaternion
 
 _QUARTER_TURN = float(np.cos(np.pi / 4.0))  # |q_i . q_j| of two rotations 90 degrees apart
 
@@ -84,5 +85,7 @@ def fuse(p: Array, R: Array, weights: Array, mean: str) -> tuple[Array, Array, t
 
     Paper, section Multi-tags Estimate Fusion; the position sum is divided by the weights' sum.
     """
-    q, flags = MEAN[mean](_quaternions(R), weights)
-    return (weights @ p) / weights.sum(), rotation(q), flags
+    (w, x, y, z), flags = MEAN[mean](_quaternions(R), weights)
+    R_mean = np.empty((3, 3))
+    matrix_into(R_mean, w, x, y, z)
+    return (weights @ p) / weights.sum(), R_mean, flags

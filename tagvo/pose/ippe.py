@@ -10,7 +10,9 @@ import numpy as np
 
 from tagvo.geometry import Array
 from tagvo.kernels import projection
-from tagvo.kernels.jit import backward, bare, cholesky, forward, njit, rotated
+from tagvo.kernels.jit import bare, njit
+from tagvo.kernels.linalg import backward, cholesky, forward
+from tagvo.kernels.so3 import rotated
 from tagvo.records import Observations, TagPoses
 
 _DAMPING = 1e-6  # a trace of Levenberg damping: a tag seen edge-on must not blow up

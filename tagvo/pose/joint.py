@@ -11,8 +11,9 @@ import numpy as np
 
 from tagvo.config import JointConfig
 from tagvo.geometry import Array
-from tagvo.kernels.jit import add_square, bare, cholesky, forward, inverse_spd, multiply, njit
-from tagvo.kernels.tag_residual import SYSTEMATIC, TagBatch, systematic_rows, tag_rows
+from tagvo.kernels.jit import bare, njit
+from tagvo.kernels.linalg import add_square, cholesky, forward, inverse_spd, multiply
+from tagvo.kernels.tag_residual import SYSTEMATIC, TagBatch, tag_rows
 from tagvo.pose.levenberg_marquardt import Work, evaluate, minimise, step
 
 _DECISIVE = 9.0  # in minus twice the log-likelihood
@@ -41,11 +42,11 @@ class JointPose:
 @njit
 def _systematic(R: Array, p: Array, tags: TagBatch, P: Array, work: Work) -> Array:
     """Shift of the pose by one sigma of each systematic error; (6, 3)."""
-    B, sums = np.empty((8, SYSTEMATIC)), np.zeros((6, SYSTEMATIC))
+    sums = np.zeros((6, SYSTEMATIC))
     rows = work.rows
     for i in range(len(work.chi2)):
         tag_rows(R, p, tags, i, rows, work.L, work.small)
-        systematic_rows(tags.offset_px[i], tags.floor, B)
+        B = tags.shift_px[i].copy()
         forward(work.factors[i], rows)
         forward(work.factors[i], B)
         for k in range(8):
@@ -79,7 +80,7 @@ def _misfit_of_sigmas(cost: float, gain: float, work: Work) -> float:
 def _with_laying(tags: TagBatch, share: float) -> TagBatch:
     return TagBatch(
         tags.R_WT, tags.p_WT, tags.corners_T, tags.laying * share, tags.corners_n, tags.J_px_n,
-        tags.sigma_px, tags.offset_px, tags.floor,
+        tags.sigma_px, tags.shift_px,
     )  # fmt: skip
 
 

@@ -9,7 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tagvo.geometry import Array
-from tagvo.kernels.jit import backward, bare, cholesky, forward, njit, rotated
+from tagvo.kernels.jit import bare, njit
+from tagvo.kernels.linalg import backward, cholesky, forward
+from tagvo.kernels.so3 import rotated
 from tagvo.kernels.tag_residual import TagBatch, residual_factor, tag_rows
 
 _SETTLED = 1e-4  # squared length [sigmas] of a step that is taken as the last, unexamined

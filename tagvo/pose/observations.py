@@ -6,7 +6,7 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera, unproject
 from tagvo.config import FloorConfig
 from tagvo.geometry import Array, IntArray
-from tagvo.kernels.tag_residual import TagBatch
+from tagvo.kernels.tag_residual import TagBatch, systematic_shift
 from tagvo.records import BodyPoses, Detections, Observations
 from tagvo.tags.tag_map import TagMap
 
@@ -39,8 +39,9 @@ def tag_batch(obs: Observations, tag_map: TagMap, camera: Camera, floor: FloorCo
         obs.corners_n,
         obs.J_px_n,
         obs.sigma_px,
-        obs.corners_px - camera.intrinsics[2:],
-        np.array([floor.focal_rel, floor.principal_px]),
+        systematic_shift(
+            obs.corners_px - camera.intrinsics[2:], floor.focal_rel, floor.principal_px
+        ),
     )
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from tagvo.camera.model import Point
 from tagvo.geometry import Array
-from tagvo.kernels.jit import bare, cholesky, leaf
+from tagvo.kernels.jit import bare, leaf
+from tagvo.kernels.linalg import cholesky
 from tagvo.track.predict import to_pixel
 from tagvo.track.side_fit import grey
 from tagvo.track.tag_model import Cells, Gray, Lens

@@ -10,7 +10,8 @@ import numpy as np
 
 from tagvo.config import TrackConfig
 from tagvo.geometry import Array, BoolArray, shortest_sides
-from tagvo.kernels.jit import bare, cholesky
+from tagvo.kernels.jit import bare
+from tagvo.kernels.linalg import cholesky
 from tagvo.records import PosePrior
 from tagvo.track.tag_model import Gray
 

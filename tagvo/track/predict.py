@@ -9,7 +9,9 @@ import numpy as np
 
 from tagvo.camera.model import Point, distort_point
 from tagvo.geometry import Array, IntArray
-from tagvo.kernels.jit import bare, inverse_spd, leaf, njit, rotated
+from tagvo.kernels.jit import bare, leaf, njit
+from tagvo.kernels.linalg import inverse_spd
+from tagvo.kernels.so3 import rotated
 from tagvo.track.tag_model import FLAT, Lens, MapArrays
 
 _NEAR = 0.02  # [m] along z of C

@@ -8,7 +8,8 @@ import yaml
 from tagvo import geometry as geo
 from tagvo.pipeline import TagVO
 from vio.config.filter import VioConfig
-from vio.filter.eskf import USUAL_NOISE, Estimator
+from vio.filter.eskf import ErrorStateFilter
+from vio.filter.noise_model import USUAL_NOISE
 from vio.localize.fused import VioArm
 from vio.localize.run import run
 from vio.localize.stopwatch import Stopwatch
@@ -89,7 +90,7 @@ def judge(folder, force=True):
     log = FlightLog.open(folder, use_detections=True)
     vo = TagVO(log.camera, log.tag_map)
     noise = log.imu_noise or USUAL_NOISE
-    arm = VioArm(Estimator(VioConfig(), log.camera, noise, log.tag_map), vo)
+    arm = VioArm(ErrorStateFilter(VioConfig(), log.camera, noise, log.tag_map), vo)
     watch, errors, states = SetupWatch(log.camera, log.tag_map), [], []
     truth = log.truth
 

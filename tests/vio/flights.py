@@ -8,7 +8,7 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera
 from tagvo.records import PoseMeasurement
 from vio.config.filter import VioConfig
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.records import ImuSample
 from vio.sim.sensors.pose_noise import PoseNoise, simulate_poses
 from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
@@ -71,12 +71,12 @@ class Track:
     nees: np.ndarray
     states: list[tuple[float, str]]
     reasons: list[tuple[float, str]]
-    estimator: Estimator
+    estimator: ErrorStateFilter
 
 
 def replay(flown, config=None, camera=CAMERA, every=4, tag_map=None):
     """The flight through a new filter; errors at every fourth output."""
-    estimator = Estimator(config or VioConfig(), camera, PIXHAWK, tag_map)
+    estimator = ErrorStateFilter(config or VioConfig(), camera, PIXHAWK, tag_map)
     out, states, reasons, count = [], [], [], 0
     for what in events(flown):
         nav = feed(estimator, what)

@@ -37,6 +37,7 @@ def replay_into_sitl(
 
     from tagvo.pipeline import TagVO
     from vio.filter import eskf as flt
+    from vio.filter.noise_model import USUAL_NOISE
     from vio.interrupt import gently
     from vio.localize.fused import VioArm
     from vio.localize.run import trajectory, tum_rows
@@ -53,8 +54,8 @@ def replay_into_sitl(
     with waiting("loading compiled code (the first run compiles it, up to a minute)"):
         warm_up(log.camera, config.tagvo, config.vio)
     vo = TagVO(log.camera, log.tag_map, config.tagvo)
-    core = flt.Estimator(
-        config.vio, log.camera, log.imu_noise or flt.USUAL_NOISE, log.tag_map, config.tagvo.floor
+    core = flt.ErrorStateFilter(
+        config.vio, log.camera, log.imu_noise or USUAL_NOISE, log.tag_map, config.tagvo.floor
     )
     arm = VioArm(core, vo, config.vio.update == "corners")
     with progress(log.frame_count, "frames") as step, gently() as stop:

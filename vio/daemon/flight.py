@@ -20,6 +20,7 @@ from vio.daemon.setup_guard import SetupGuard
 from vio.daemon.status import Rates, Status, cpu_by_thread
 from vio.daemon.systemd import Systemd
 from vio.filter import eskf as flt
+from vio.filter.noise_model import USUAL_NOISE
 from vio.localize.baselines import VoArm
 from vio.localize.run import RunResult, Sink, run
 from vio.localize.stopwatch import Stopwatch
@@ -57,8 +58,8 @@ class Flight:
         config = parts.config
         self._watch = Stopwatch(_KEEP)
         loop_vo = TagVO(parts.camera, parts.tag_map, config.tagvo, lap=self._watch.lap)
-        core = flt.Estimator(
-            config.vio, parts.camera, parts.noise or flt.USUAL_NOISE, parts.tag_map,
+        core = flt.ErrorStateFilter(
+            config.vio, parts.camera, parts.noise or USUAL_NOISE, parts.tag_map,
             config.tagvo.floor,
         )  # fmt: skip
         note = recorder.health if recorder is not None else lambda t_ns, health: None

@@ -7,7 +7,7 @@ from typing import Protocol
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame, Observations, PoseMeasurement, PosePrior
 from vio.daemon.clock import FlightClock
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.filter.health import Health
 from vio.localize.baselines import Output
 from vio.localize.fused import VioArm
@@ -35,7 +35,7 @@ class FlightArm(VioArm):
 
     def __init__(
         self,
-        estimator: Estimator,
+        estimator: ErrorStateFilter,
         vo: TagVO,
         corners: bool,
         link: Link,

@@ -10,7 +10,7 @@ from tagvo.geometry import Array, IntArray
 from vio.filter import state as at
 
 if TYPE_CHECKING:
-    from vio.filter.eskf import Estimator
+    from vio.filter.eskf import ErrorStateFilter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,7 @@ class Diary:
 class DiaryKeeper:
     """Owns the rows; `note` asks the filter after a frame."""
 
-    def __init__(self, estimator: "Estimator", R_IC: Array) -> None:
+    def __init__(self, estimator: "ErrorStateFilter", R_IC: Array) -> None:
         """R_IC (3, 3): the camera in the IMU as the calibration file has it."""
         self._estimator, self._q_CI = estimator, geo.quat_from_matrix(R_IC.T)
         self._rows: list[tuple[int, Array, Array, float, int]] = []

@@ -12,23 +12,28 @@ from tagvo import geometry as geo
 from tagvo.geometry import Array
 from vio.config.filter import RigConfig, VioConfig
 from vio.filter import state as at
+from vio.filter.measurements import constraints
 
 _CONVINCED = 2.0  # log odds for the file's value from which it is believed
 _CONTRADICTION = (36.0, 25.0)  # chi-square beyond doubt: 1 dof and 3 dof, 1e-5 and less
 
 
-class _Claim:
-    """That some states are as the file says; variances of the file if true, of the prior."""
+class CalibrationHypothesis:
+    """Bayes factor (Savage-Dickey) for a block of the state being as the file says.
+
+    tight, wide, enough: sigmas of the file if it is true, of the prior, and the largest that the
+    filter's own estimate may have to judge by.
+    """
 
     def __init__(self, first: int, count: int, tight: float, wide: float, enough: float) -> None:
         self._block = slice(first, first + count)
         self._tight, self._wide, self._enough = tight**2, wide**2, enough**2
         self._limit = _CONTRADICTION[count > 1]
-        self._open = np.array([at.M_OPEN, 1.0, self._wide, first, count])
+        self._open = constraints.opened(self._wide, first, count)
         self.confirmed = False
 
     def decide(self, e: Array, P: Array, file: Array) -> Array | None:
-        """The window's row where the verdict changes; e (k,): states less the file's."""
+        """The history's row where the verdict changes; e (k,): states less the file's."""
         C, eye = P[self._block, self._block], np.eye(len(e))
         if self.confirmed:
             doubt = 1.001 * self._tight * eye - C  # covariance of what the data have moved
@@ -41,10 +46,10 @@ class _Claim:
         if _odds(e, C, self._wide) < _CONVINCED:
             return None
         self.confirmed = True
-        return np.concatenate([file, [self._tight]])
+        return file
 
 
-class RigJudge:
+class CalibrationCheck:
     """The claims of one camera's calibration, since one start of the filter."""
 
     def __init__(self, config: VioConfig, R_IC: Array, time_offset_s: float) -> None:
@@ -52,18 +57,19 @@ class RigJudge:
         wide = float(np.radians(config.prior.extrinsic_rotation_deg))
         tight, enough = np.radians(rig.rotation_deg), np.radians(rig.rotation_known_deg)
         self._R_IC, self._td = R_IC, time_offset_s
-        self._turned = _Claim(at.EX, 3, float(tight), wide, float(enough))
-        self._delayed = _Claim(
+        self._turned_row = constraints.rotation(geo.quat_from_matrix(R_IC), float(tight))
+        self._delayed_row = constraints.clock(time_offset_s, rig.time_offset_s)
+        self._turned = CalibrationHypothesis(at.EX, 3, float(tight), wide, float(enough))
+        self._delayed = CalibrationHypothesis(
             at.TD, 1, rig.time_offset_s, config.prior.time_offset_s, rig.time_offset_known_s
         )
 
     def rows(self, x: Array, P: Array) -> list[Array]:
-        """Measurements for the window where a verdict changes."""
+        """Measurements for the history where a verdict changes."""
         R_IC = geo.matrix_from_quat(x[at.X_QIC : at.X_QIC + 4])
-        file = np.concatenate([[at.M_RIG, 1.0], geo.quat_from_matrix(self._R_IC)])
-        turned = self._turned.decide(geo.log(self._R_IC.T @ R_IC), P, file)
+        turned = self._turned.decide(geo.log(self._R_IC.T @ R_IC), P, self._turned_row)
         late = np.array([x[at.X_TD] - self._td])
-        delayed = self._delayed.decide(late, P, np.array([at.M_CLOCK, 1.0, self._td]))
+        delayed = self._delayed.decide(late, P, self._delayed_row)
         return [row for row in (turned, delayed) if row is not None]
 
 

@@ -1,51 +1,80 @@
-"""The filter's memory: IMU intervals, a snapshot at each, and the measurements among them.
+"""Fixed-lag buffer: IMU intervals, a snapshot at each, and the measurements among them.
 
-A measurement that comes late is put where it belongs; everything after it is computed again, and
+A measurement that comes late is inserted where it belongs; everything after it is refiltered, and
 its gates decided again, inside one compiled call. So the order of arrival leaves no trace in the
 history. Times are integer nanoseconds of the IMU's clock, measurement stamps of the camera's.
+Source: Bar-Shalom, Li, Kirubarajan, Estimation with applications, 2001, out-of-sequence
+measurements (here without approximation: the filter is run again).
 """
 
 from collections import Counter
 from collections.abc import Collection
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from tagvo.geometry import Array, IntArray
+from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.kernels.jit import bare, njit
 from vio.filter import state as at
-from vio.filter.adaptive_noise import inflation, remember, slow_share
-from vio.filter.measurements.corners import correct_corners
+from vio.filter.adaptive_noise import NoisePolicy, remember, trust_now
+from vio.filter.measurements import constraints, corners, kinds, pose
+from vio.filter.noise_model import Model, pack_model, unpack_model
 from vio.filter.propagation import propagate
-from vio.filter.update import correct_clock, correct_pose, correct_rig, correct_still
 
 _FAR = np.iinfo(np.int64).max
 _RATE_NS = (15_000_000, 100_000_000)
 _RATE_RAD_S = 0.02  # what the gyro's noise may leave in a mean rate
 
 
+class Snapshots(NamedTuple):
+    """The state at the end of each IMU interval.
+
+    t (k,) [ns]; imu (k, 12): gyro, accel and noise scale of the interval that ends there; x
+    (k, NOMINAL); P (k, n, n).
+    """
+
+    t: IntArray
+    imu: Array
+    x: Array
+    P: Array
+
+
+class Rows(NamedTuple):
+    """Measurements in the order of their stamps.
+
+    stamp (m,) [ns, camera]; due (m,) [ns, IMU]: when it was applied; verdict (m,); nis (m,); z
+    (m, width): the measurement, see `measurements.kinds`.
+    """
+
+    stamp: IntArray
+    due: IntArray
+    verdict: IntArray
+    nis: Array
+    z: Array
+
+
 @njit
-def _apply(x: Array, P: Array, w: Array, z: Array, par: Array, t_ns: int) -> tuple[int, float]:
+def _apply(
+    x: Array, P: Array, w: Array, z: Array, t_ns: int, policy: NoisePolicy, layout: at.Layout
+) -> tuple[int, float]:
     """One measurement, whatever its kind: the verdict and its NIS."""
-    kind = int(z[0])
-    if kind == at.M_STILL:
-        return correct_still(x, P, z[2], par[1])
-    if kind == at.M_RIG:
-        return correct_rig(x, P, z[2:])
-    if kind == at.M_CLOCK:
-        return correct_clock(x, P, z[2], z[3])
-    if kind == at.M_OPEN:
-        for i in range(int(z[3]), int(z[3] + z[4])):
-            P[i, i] += z[2]
-        return at.ACCEPTED, 0.0
-    n, y = P.shape[0], np.zeros(6)
-    trust = inflation(x, par, n), *slow_share(x, par, n)
-    if kind == at.M_POSE:
-        verdict, nis = correct_pose(x, P, w, z[2:], trust, par[1], y)
+    kind, payload = int(z[0]), z[kinds.HEAD :]
+    if kind == kinds.STILL:
+        return constraints.update_still(x, P, payload, policy.gate, layout)
+    if kind == kinds.ROTATION:
+        return constraints.update_rotation(x, P, payload, layout)
+    if kind == kinds.CLOCK:
+        return constraints.update_clock(x, P, payload, layout)
+    if kind == kinds.OPEN:
+        constraints.update_opened(P, payload)
+        return kinds.ACCEPTED, 0.0
+    y, trust = np.zeros(6), trust_now(x, policy, layout.pose_bias != at.OFF)
+    if kind == kinds.POSE:
+        verdict, nis = pose.update(x, P, w, payload, trust, y, layout)
     else:
-        k = int(z[1])
-        tags = z[2 : 2 + k * at.TAG_NUMBERS].reshape((k, at.TAG_NUMBERS))
-        verdict, nis = correct_corners(x, P, w, tags, trust, par[1], y)
-    if verdict == at.ACCEPTED:
+        verdict, nis = corners.update(x, P, w, z, trust, y, layout)
+    if verdict == kinds.ACCEPTED:
         remember(x, y, t_ns * 1e-9)
     return verdict, nis
 
@@ -56,9 +85,9 @@ def _effective(stamp: int, x: Array) -> int:
 
 
 @bare
-def _rate_span(q: Array) -> float:
-    """Over how long to take the mean of the gyro [ns], by its noise in q (NOISE,)."""
-    return float(min(max(1e9 * q[at.N_GYRO] / _RATE_RAD_S**2, _RATE_NS[0]), _RATE_NS[1]))
+def _rate_span(q: at.ProcessNoise) -> float:
+    """Over how long to take the mean of the gyro [ns], by its noise."""
+    return float(min(max(1e9 * q.gyro / _RATE_RAD_S**2, _RATE_NS[0]), _RATE_NS[1]))
 
 
 @njit
@@ -81,41 +110,40 @@ def _mean_rate(t: IntArray, imu: Array, k: int, span_ns: float) -> Array:
 
 
 @njit
-def walk(
-    first: int, last: int, j: int, count: int, t: IntArray, imu: Array, X: Array, P: Array,
-    m_t: IntArray, m_at: IntArray, m_state: IntArray, m_nis: Array, m_z: Array,
-    q: Array, par: Array,
-) -> None:  # fmt: skip
-    """Fill the snapshots first+1..last from snapshot `first`, applying measurements from j on.
+def refilter(
+    span: IntArray, t: IntArray, imu: Array, x: Array, P: Array, rows: IntArray, z: Array, m: Array
+) -> None:
+    """Fill snapshots anew from one that stands, and apply the measurements where they fall due.
 
-    t (k,), imu (k, 12): end of each interval, its gyro, accel and noise scale; X, P snapshots;
-    m_*: stamps in order, effective times, verdicts, NIS and payloads; par: see
-    `vio.memory.inflation`.
+    span (4,): snapshot that stands, last one; first row, row after the last. t, imu, x, P:
+    `Snapshots`; rows (3, m): stamp, due, verdict of `Rows`; z (m, 1 + width): NIS, measurement; m:
+    a packed `Model`.
     """
-    span_ns = _rate_span(q)
+    first, last, j, count = span[0], span[1], span[2], span[-1]
+    stamp, due, verdict = rows[0], rows[1], rows[2]
+    q, policy, layout = unpack_model(m)
+    rate_ns = _rate_span(q)
     for k in range(first, last):
-        x, C = X[k + 1], P[k + 1]
-        x[:] = X[k]
-        C[:] = P[k]
+        x_k, P_k, imu_k = x[k + 1], P[k + 1], imu[k + 1]
+        x_k[:] = x[k]
+        P_k[:] = P[k]
         now, end = t[k], t[k + 1]
-        rates = imu[k + 1]
         while j < count:
-            due = _effective(m_t[j], x)
-            if due > end:
+            at_ns = _effective(stamp[j], x_k)
+            if at_ns > end:
                 break
-            if due > now:
-                propagate(x, C, rates, (due - now) * 1e-9, q)
-                now = due
-            m_at[j] = now
-            m_state[j], m_nis[j] = _apply(
-                x, C, _mean_rate(t, imu, k + 1, span_ns), m_z[j], par, now
-            )
+            if at_ns > now:
+                propagate(x_k, P_k, imu_k, (at_ns - now) * 1e-9, q, layout)
+                now = at_ns
+            due[j] = now
+            w = _mean_rate(t, imu, k + 1, rate_ns)
+            verdict[j], z[j, 0] = _apply(x_k, P_k, w, z[j, 1:], now, policy, layout)
             j += 1
         if end > now:
-            propagate(x, C, rates, (end - now) * 1e-9, q)
+            propagate(x_k, P_k, imu_k, (end - now) * 1e-9, q, layout)
     while j < count:
-        m_at[j] = _FAR
-        m_state[j] = at.PENDING
+        due[j] = _FAR
+        verdict[j] = kinds.PENDING
         j += 1
 
 
@@ -128,105 +156,170 @@ def snapshot_before(t: IntArray, X: Array, last: int, stamp: int) -> int:
     return last
 
 
-class Window:
-    """About one second of history that can be computed again; see `walk`."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """Camera measurements that were decided, in the order of their stamps; gates as last decided.
 
-    def __init__(self, n: int, ticks: int, slots: int, width: int, q: Array, par: Array) -> None:
-        self.q, self.par = q, par
+    stamp_ns [camera], due_ns [IMU], verdict, nis: (m,).
+    """
+
+    stamp_ns: IntArray
+    due_ns: IntArray
+    verdict: IntArray
+    nis: Array
+
+    def last(self, *verdicts: int) -> int:
+        """Index of the newest with one of these verdicts; -1: none."""
+        found = np.flatnonzero(np.isin(self.verdict, verdicts))
+        return int(found[-1]) if found.size else -1
+
+
+class History:
+    """About one second of the filter that can be computed again; see `refilter`."""
+
+    def __init__(
+        self,
+        sizes: tuple[int, int, int],
+        model: Model,
+    ) -> None:
+        """sizes: snapshots and measurements that are kept at least, numbers of a measurement."""
+        ticks, slots, width = sizes
+        self.model, self._packed = model, pack_model(model)
         self._keep_ticks, self._keep_slots = ticks, slots
-        self.t = np.zeros(2 * ticks, dtype=np.int64)
-        self.imu = np.zeros((2 * ticks, 12))
-        self.X = np.zeros((2 * ticks, at.NOMINAL))
-        self.P = np.zeros((2 * ticks, n, n))
-        self.m_t = np.zeros(2 * slots, dtype=np.int64)
-        self.m_at = np.full(2 * slots, _FAR, dtype=np.int64)
-        self.m_state = np.zeros(2 * slots, dtype=np.int64)
-        self.m_nis = np.zeros(2 * slots)
-        self.m_z = np.zeros((2 * slots, width))
-        self.last = self.count = 0
-        self.archived: Counter[int] = Counter()
+        self._span = np.zeros(4, dtype=np.int64)
+        n = model.layout.n
+        self.snapshots = Snapshots(
+            np.zeros(2 * ticks, dtype=np.int64),
+            np.zeros((2 * ticks, 12)),
+            np.zeros((2 * ticks, at.NOMINAL)),
+            np.zeros((2 * ticks, n, n)),
+        )
+        self._times = np.zeros((3, 2 * slots), dtype=np.int64)
+        self._z = np.zeros((2 * slots, 1 + width))
+        stamp, due, verdict = self._times
+        self.rows = Rows(stamp, due, verdict, self._z[:, 0], self._z[:, 1:])
+        self.rows.due[:] = _FAR
+        self.last = self.count = 0  # newest snapshot; how many measurements
+        self._archived: Counter[int] = Counter()
         self._floor_ns = 0  # effective time of the newest measurement that is archived
 
     def start(self, t_ns: int, x: Array, P: Array, again: Collection[int] = ()) -> None:
         """Forget everything and begin with this state; again: stamps that will be inserted anew."""
-        twice = np.isin(self.m_t[: self.count], list(again))
-        rows = self.m_state[: self.count][twice & (self.m_z[: self.count, 0] <= at.M_CORNERS)]
+        twice = np.isin(self.rows.stamp[: self.count], list(again))
+        anew = self.rows.verdict[: self.count][twice & self._from_camera(self.count)]
         self.archive(self.count)
-        self.archived -= Counter(rows.tolist())
+        self._archived -= Counter(anew.tolist())
         self.last = self.count = 0
         self._floor_ns = t_ns
-        self.t[0], self.X[0], self.P[0] = t_ns, x, P
+        s = self.snapshots
+        s.t[0], s.x[0], s.P[0] = t_ns, x, P
 
     @property
     def now_ns(self) -> int:
         """Time of the newest snapshot."""
-        return int(self.t[self.last])
+        return int(self.snapshots.t[self.last])
+
+    @property
+    def x(self) -> Array:
+        """Nominal state of the newest snapshot (NOMINAL,); a view."""
+        return np.asarray(self.snapshots.x[self.last])
+
+    @property
+    def P(self) -> Array:
+        """Its covariance (n, n); a view."""
+        return np.asarray(self.snapshots.P[self.last])
+
+    @property
+    def time_offset_ns(self) -> int:
+        """t_d as the newest state has it."""
+        return round(float(self.x[at.X_TD]) * 1e9)
+
+    @property
+    def waits(self) -> bool:
+        """Whether a measurement lies ahead of the newest snapshot."""
+        return self.count > 0 and bool(self.rows.verdict[self.count - 1] == kinds.PENDING)
 
     def add_interval(self, t_ns: int, w: Array, f: Array, scale: Array) -> None:
         """One IMU interval from the newest snapshot to t_ns, and what was waiting for it."""
-        if self.last + 1 == len(self.t):
+        if self.last + 1 == len(self.snapshots.t):
             self._drop_ticks()
-        k = self.last + 1
-        self.t[k] = t_ns
-        self.imu[k, 0:3], self.imu[k, 3:6], self.imu[k, 6:12] = w, f, scale
-        self._walk(self.last, k, self._first_after(self.last))
+        k, s = self.last + 1, self.snapshots
+        s.t[k] = t_ns
+        s.imu[k, 0:3], s.imu[k, 3:6], s.imu[k, 6:12] = w, f, scale
+        self._refilter(self.last, k, self._first_after(self.last))
         self.last = k
 
+    def intervals_after(self, k: int) -> list[tuple[int, Array]]:
+        """End [ns] and imu (12,) of each interval after snapshot k; copies."""
+        s = self.snapshots
+        return [(int(s.t[i]), s.imu[i].copy()) for i in range(k + 1, self.last + 1)]
+
     def insert(self, stamp_ns: int, z: Array) -> str:
-        """Put a measurement where it belongs and compute again; why not, or an empty text."""
-        if self.count == len(self.m_t):
+        """Put a measurement where it belongs and refilter; why not, or an empty text."""
+        rows, s = self.rows, self.snapshots
+        if self.count == len(rows.stamp):
             self.archive(self.count - self._keep_slots)
-        j = int(np.searchsorted(self.m_t[: self.count], stamp_ns))
-        if j < self.count and self.m_t[j] == stamp_ns and self.m_z[j, 0] == z[0]:
+        j, end = np.searchsorted(rows.stamp[: self.count], (stamp_ns, stamp_ns + 1)).tolist()
+        if (rows.z[j:end, 0] == z[0]).any():
             return "duplicate"
-        first = int(snapshot_before(self.t, self.X, self.last, stamp_ns))
-        while first >= 0 and j < self.count and self.m_at[j] <= self.t[first]:
+        j += int((rows.z[j:end, 0] < z[0]).sum())  # one stamp: by kind, however they come
+        first = int(snapshot_before(s.t, s.x, self.last, stamp_ns))
+        while first >= 0 and j < self.count and rows.due[j] <= s.t[first]:
             first -= 1
-        if first < 0 or self.t[first] < self._floor_ns:
+        if first < 0 or s.t[first] < self._floor_ns:
             return "too_old"
-        for a in (self.m_t, self.m_at, self.m_state, self.m_nis, self.m_z):
+        for a in rows:
             a[j + 1 : self.count + 1] = a[j : self.count].copy()
-        self.m_t[j], self.m_at[j], self.m_state[j] = stamp_ns, _FAR, at.PENDING
-        self.m_z[j, : len(z)] = z
+        rows.stamp[j], rows.due[j], rows.verdict[j] = stamp_ns, _FAR, kinds.PENDING
+        rows.z[j, : len(z)] = z
         self.count += 1
         if first < self.last:
-            self._walk(first, self.last, min(j, self._first_after(first)))
+            self._refilter(first, self.last, min(j, self._first_after(first)))
         return ""
 
     def _first_after(self, k: int) -> int:
         """First measurement that snapshot k does not hold."""
-        return int(np.searchsorted(self.m_at[: self.count], self.t[k], side="right"))
+        due = self.rows.due[: self.count]
+        return int(np.searchsorted(due, self.snapshots.t[k], side="right"))
 
-    def _walk(self, first: int, last: int, j: int) -> None:
-        walk(
-            first, last, j, self.count, self.t, self.imu, self.X, self.P, self.m_t, self.m_at,
-            self.m_state, self.m_nis, self.m_z, self.q, self.par,
-        )  # fmt: skip
+    def _refilter(self, first: int, last: int, j: int) -> None:
+        self._span[:] = first, last, j, self.count
+        s = self.snapshots
+        refilter(self._span, s.t, s.imu, s.x, s.P, self._times, self._z, self._packed)
 
     def _drop_ticks(self) -> None:
         gone = self.last + 1 - self._keep_ticks
-        for a in (self.t, self.imu, self.X, self.P):
+        for a in self.snapshots:
             a[: self._keep_ticks] = a[gone : self.last + 1].copy()
         self.last -= gone
 
     def archive(self, number: int) -> None:
         """Forget the oldest measurements, but not what became of them."""
-        self.archived += self._tally(number)
+        self._archived += self._tally(number)
         left = self.count - number
         if number:
-            self._floor_ns = max(self._floor_ns, int(self.m_at[number - 1]))
-        for a in (self.m_t, self.m_at, self.m_state, self.m_nis, self.m_z):
+            self._floor_ns = max(self._floor_ns, int(self.rows.due[number - 1]))
+        for a in self.rows:
             a[:left] = a[number : self.count].copy()
         self.count = left
 
     def verdicts(self) -> Counter[int]:
         """How many camera measurements got each verdict, gates as last decided."""
-        return self.archived + self._tally(self.count)
+        return self._archived + self._tally(self.count)
+
+    def judged(self) -> Judged:
+        """The camera measurements in reach that were decided."""
+        verdict = self.rows.verdict[: self.count]
+        which = np.flatnonzero(self._from_camera(self.count) & (verdict != kinds.PENDING))
+        r = self.rows
+        return Judged(r.stamp[which], r.due[which], r.verdict[which], r.nis[which])
+
+    def _from_camera(self, number: int) -> BoolArray:
+        return np.asarray(self.rows.z[:number, 0] <= kinds.LAST_VISION)
 
     def _tally(self, number: int) -> Counter[int]:
-        rows = self.m_state[:number][self.m_z[:number, 0] <= at.M_CORNERS]
-        return Counter(rows.tolist())
+        return Counter(self.rows.verdict[:number][self._from_camera(number)].tolist())
 
     def at_or_before(self, t_ns: int) -> int:
         """Index of the newest snapshot not after t_ns; -1: none."""
-        return int(np.searchsorted(self.t[: self.last + 1], t_ns, side="right")) - 1
+        return int(np.searchsorted(self.snapshots.t[: self.last + 1], t_ns, side="right")) - 1

@@ -15,13 +15,14 @@ from tagvo.records import PoseMeasurement
 from vio.config.filter import PriorConfig, VioConfig
 from vio.filter import state as at
 from vio.filter.adaptive_noise import no_memory
+from vio.filter.noise_model import switched_on
 from vio.filter.preprocessing import Interval
 from vio.frames import level_frame
 
 _AGREE_RAD = np.radians(12.0)  # first poses whose attitudes differ more from the gyro's disagree
 _AGREE_M = 0.25
 _ACCELERATION = 1.0  # [m/s^2] sigma of the mean acceleration over the first poses
-_STILL_BIAS_RAD_S = 3e-3
+_STILL_BIAS_RAD_S, _STILL_SPEED_SIGMA_M_S = 3e-3, 0.1  # sigmas at rest
 # slower than that is rest: errors of poses that drift look like it, and the start leaves it open
 _STILL_RATE_RAD_S, _STILL_SPEED_M_S = 0.0175, 0.03
 _LEAST_SCATTER_M, _LEAST_SCATTER_RAD = 2e-4, 3e-4  # of a pose, however well the others agree
@@ -266,7 +267,7 @@ def _nominal(R_WI: Array, pvg: Array, gyro_bias: Array, rig: Rig) -> Array:
     x[at.X_BG : at.X_BG + 3] = gyro_bias
     x[at.X_QIC : at.X_QIC + 4] = geo.quat_from_matrix(rig.R_IC)
     x[at.X_TD] = rig.time_offset_s
-    x[at.X_QWG : at.X_QWG + 4] = geo.quat_from_matrix(level_frame(pvg[2]))
+    x[at.X_QWL : at.X_QWL + 4] = geo.quat_from_matrix(level_frame(pvg[2]))
     x[at.X_PIC : at.X_PIC + 3] = rig.p_IC
     x[at.X_RECENT :] = no_memory()
     return x
@@ -274,25 +275,20 @@ def _nominal(R_WI: Array, pvg: Array, gyro_bias: Array, rig: Rig) -> Array:
 
 def prior_covariance(config: VioConfig, still: bool, gravity_sigma: float | None) -> Array:
     """P (n, n) at the start; at rest the velocity and the gyro bias are known better."""
-    c = config.prior
-    rad = np.radians
-    sigma = np.zeros(at.WITH_LEVER)
-    sigma[at.P : at.P + 3] = c.position_m
-    sigma[at.V : at.V + 3] = 0.1 if still else c.velocity_m_s
-    sigma[at.TH : at.TH + 3] = rad(c.attitude_deg)
-    sigma[at.BG : at.BG + 3] = _STILL_BIAS_RAD_S if still else c.gyro_bias_rad_s
-    sigma[at.BA : at.BA + 3] = c.accel_bias_m_s2
-    sigma[at.EX : at.EX + 3] = rad(c.extrinsic_rotation_deg)
-    sigma[at.TD] = c.time_offset_s
-    sigma[at.GR : at.GR + 2] = rad(c.gravity_deg) if gravity_sigma is None else gravity_sigma
-    sigma[at.BIAS : at.BIAS + 6] = 1.0
-    sigma[at.LEVER : at.LEVER + 3] = c.lever_arm_m
-    n = dimension(config)
-    return np.diag(np.square(np.maximum(sigma[:n], 1e-9)))
+    known = {} if gravity_sigma is None else {"q_WL_hat": gravity_sigma}
+    if still:
+        known |= {"v_WI": _STILL_SPEED_SIGMA_M_S, "b_g": _STILL_BIAS_RAD_S}
+    sigma = np.concatenate([
+        np.full(b.error, known.get(b.name, _prior(b, config)))
+        for b in at.BLOCKS
+        if not b.switch or b.switch in switched_on(config)
+    ])  # fmt: skip
+    return np.diag(np.square(np.maximum(sigma, 1e-9)))
 
 
-def dimension(config: VioConfig) -> int:
-    """Active error dimension: 21, 27 with the pose bias, 30 with the lever arm too."""
-    if config.lever_arm:
-        return at.WITH_LEVER
-    return at.WITH_BIAS if config.pose_bias else at.BASE
+def _prior(block: at.Block, config: VioConfig) -> float:
+    """A block's sigma at the start, angles in radians."""
+    if isinstance(block.prior, float):
+        return block.prior
+    value = float(getattr(config.prior, block.prior))
+    return float(np.radians(value)) if block.prior.endswith("_deg") else value

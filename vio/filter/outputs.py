@@ -6,15 +6,14 @@ from tagvo import geometry as geo
 from tagvo.geometry import Array
 from tagvo.records import PosePrior
 from vio.filter import state as at
-from vio.filter.history import Window
-from vio.filter.measurements.predicted import camera_jacobian, camera_pose
+from vio.filter.history import History
+from vio.filter.measurements.camera import camera_jacobian, camera_pose
 from vio.filter.propagation import propagate
 from vio.records import Moment, NavState
 
 _ORDER = np.r_[at.P : at.P + 3, at.TH : at.TH + 3, at.V : at.V + 3]
 _PICK = np.ix_(_ORDER, _ORDER)
 _AHEAD_NS = 50_000_000  # how far a state is predicted beyond the newest sample
-_NOISES = [i for i in range(at.NOISE) if i not in (at.N_GRAVITY, at.N_BIAS_RATE)]
 
 
 def nav_state(t_ns: int, x: Array, P: Array) -> NavState:
@@ -25,42 +24,40 @@ def nav_state(t_ns: int, x: Array, P: Array) -> NavState:
     )
 
 
-def moment(window: Window, t_ns: int | None) -> Moment | None:
+def moment(history: History, t_ns: int | None) -> Moment | None:
     """The filter at a stamp of the camera's clock, None: at its newest sample.
 
     None where its memory does not reach back so far, or the IMU has not come near the stamp.
 
     From the first snapshot at or after the stamp, back: only that one holds a frame of this stamp.
     """
-    td_ns = round(window.X[window.last, at.X_TD] * 1e9)
-    due = window.now_ns if t_ns is None else t_ns + td_ns
-    if not window.t[0] <= due <= window.now_ns + _AHEAD_NS:
+    s, td_ns, model = history.snapshots, history.time_offset_ns, history.model
+    due = history.now_ns if t_ns is None else t_ns + td_ns
+    if not s.t[0] <= due <= history.now_ns + _AHEAD_NS:
         return None
-    k = min(window.at_or_before(due - 1) + 1, window.last)
-    x, P = window.X[k].copy(), window.P[k].copy()
-    dt = (due - int(window.t[k])) * 1e-9
+    k = min(history.at_or_before(due - 1) + 1, history.last)
+    x, P = s.x[k].copy(), s.P[k].copy()
+    dt = (due - int(s.t[k])) * 1e-9
     if dt != 0.0:
-        q = window.q.copy()
-        if dt < 0.0:  # going back adds no noise
-            q[_NOISES] = 0.0
-        propagate(x, P, window.imu[k], dt, q)
-    up_W = geo.matrix_from_quat(x[at.X_QWG : at.X_QWG + 4])[:, 2]
-    w_I = window.imu[k, 0:3] - x[at.X_BG : at.X_BG + 3]
-    sigma = float(np.sqrt(np.diag(P)[at.GR : at.GR + 2].max()))
+        q = model.q.quiet() if dt < 0.0 else model.q  # going back adds no noise
+        propagate(x, P, s.imu[k], dt, q, model.layout)
+    up_W = geo.matrix_from_quat(x[at.X_QWL : at.X_QWL + 4])[:, 2]
+    w_I = s.imu[k, 0:3] - x[at.X_BG : at.X_BG + 3]
+    sigma = float(np.sqrt(np.diag(P)[at.LEVEL : at.BASE].max()))
     return Moment(due - td_ns, nav_state(due, x, P), w_I, -up_W, sigma)
 
 
-def camera_prior(window: Window, t_ns: int) -> PosePrior | None:
-    """The predicted camera pose at a stamp of the camera's clock; None before the window."""
-    due = t_ns + round(window.X[window.last, at.X_TD] * 1e9)
-    k = window.at_or_before(due)
+def camera_prior(history: History, t_ns: int) -> PosePrior | None:
+    """The predicted camera pose at a stamp of the camera's clock; None before the history."""
+    s, due, model = history.snapshots, t_ns + history.time_offset_ns, history.model
+    k = history.at_or_before(due)
     if k < 0:
         return None
-    x, P = window.X[k].copy(), window.P[k].copy()
-    imu = window.imu[min(k + 1, window.last)]
-    if due > window.t[k]:
-        propagate(x, P, imu, (due - window.t[k]) * 1e-9, window.q)
+    x, P = s.x[k].copy(), s.P[k].copy()
+    imu = s.imu[min(k + 1, history.last)]
+    if due > s.t[k]:
+        propagate(x, P, imu, (due - s.t[k]) * 1e-9, model.q, model.layout)
     R_WC, p_WC, H = np.empty((3, 3)), np.empty(3), np.empty((6, len(P)))
     camera_pose(x, R_WC, p_WC)
-    camera_jacobian(x, imu[0:3], H)
+    camera_jacobian(x, imu[0:3], H, model.layout)
     return PosePrior(t_ns, p_WC, R_WC, H @ P @ H.T)

@@ -1,6 +1,11 @@
-"""The way back after a kidnap or a wrong start: where the rejected poses would have the filter."""
+"""Relocalization: consensus of rejected poses, and the state moved to it.
+
+The gates themselves (chi-square 99.9 %) are decided inside the compiled updates; here is the way
+out when they hold against the truth, as after a kidnap or a wrong start.
+"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,9 +14,9 @@ from tagvo.geometry import Array
 from tagvo.records import PoseMeasurement
 from vio.config.filter import RecoveryConfig
 from vio.filter import state as at
-from vio.filter.consensus import Rejected, agreement, relocate
+from vio.filter.adaptive_noise import no_memory
 from vio.filter.health import Health, State
-from vio.filter.history import Window
+from vio.filter.history import History, Snapshots
 
 _POSES_STOP_NS = 1_000_000_000  # poses further apart do not keep arriving
 
@@ -44,31 +49,97 @@ class LostWatch:
         return True
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Rejected:
+    """Rejected poses beside what the filter had predicted, of I in W.
+
+    tau (k,) [s]; measured p (k, 3), R (k, 3, 3); predicted p and R; sigma (k,) of a position [m].
+    """
+
+    tau: Array
+    p_z: Array
+    R_z: Array
+    p: Array
+    R: Array
+    sigma: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Relocation:
+    """What takes the prediction to the measurements: p := offset at the last pose, R := turn R."""
+
+    p_WI: Array
+    turn_W: Array
+    velocity_error: Array
+    sigma_m: float
+    sigma_rad: float
+
+
+def agreement(seen: Rejected, config: RecoveryConfig) -> Relocation | None:
+    """The one correction that explains every rejected pose, or None where they disagree."""
+    turn = seen.R_z @ np.swapaxes(seen.R, -1, -2)
+    mean = geo.project_to_so3(turn.mean(axis=0))
+    apart = geo.angle(mean.T @ turn)
+    if apart.max() > np.radians(config.spread_deg):
+        return None
+    last = len(seen.tau) - 1
+    moved = (seen.p - seen.p[last]) @ mean.T
+    offset = seen.p_z - moved
+    A = np.stack([np.ones_like(seen.tau), seen.tau - seen.tau[last]], axis=-1)
+    fit = np.linalg.lstsq(A, offset, rcond=None)[0]
+    miss = np.linalg.norm(offset - A @ fit, axis=1)
+    limit = max(config.spread_m, 3.0 * float(np.median(seen.sigma)))
+    if miss.max() > limit:
+        return None
+    sigma_m = max(float(seen.sigma[last]), float(miss.max()), 0.02)
+    return Relocation(fit[0], mean, fit[1], sigma_m, max(float(apart.max()), np.radians(2.0)))
+
+
+def relocate(x: Array, P: Array, move: Relocation) -> tuple[Array, Array]:
+    """State and covariance moved there: calibration and biases kept, the rest open again."""
+    x, n = x.copy(), len(P)
+    R_WI = move.turn_W @ geo.matrix_from_quat(x[at.X_Q : at.X_Q + 4])
+    x[at.X_P : at.X_P + 3] = move.p_WI
+    x[at.X_Q : at.X_Q + 4] = geo.quat_from_matrix(R_WI)
+    x[at.X_V : at.X_V + 3] = move.turn_W @ x[at.X_V : at.X_V + 3] + move.velocity_error
+    x[at.X_RECENT :] = no_memory()
+    out = P.copy()
+    sigma = np.repeat([2.0 * move.sigma_m, 0.5, 2.0 * move.sigma_rad], 3)
+    out[: at.BG, :] = out[:, : at.BG] = 0.0
+    out[: at.BG, : at.BG] = np.diag(sigma**2)
+    tilt = 0.03 + 0.5 * float(geo.angle(move.turn_W))
+    out[at.LEVEL : at.LEVEL + 2, :] = out[:, at.LEVEL : at.LEVEL + 2] = 0.0
+    out[at.LEVEL, at.LEVEL] = out[at.LEVEL + 1, at.LEVEL + 1] = max(
+        P[at.LEVEL, at.LEVEL], min(tilt, 0.3) ** 2
+    )
+    return x, out[:n, :n]
+
+
 def relocation(
-    window: Window, poses: Sequence[PoseMeasurement], config: RecoveryConfig
+    history: History, poses: Sequence[PoseMeasurement], config: RecoveryConfig
 ) -> tuple[int, Array, Array] | None:
     """Snapshot to begin anew at, with its new state and covariance; None: the poses disagree."""
-    td_ns = round(window.X[window.last, at.X_TD] * 1e9)
-    ticks = [window.at_or_before(p.t_ns + td_ns) for p in poses]
+    td_ns, s = history.time_offset_ns, history.snapshots
+    ticks = [history.at_or_before(p.t_ns + td_ns) for p in poses]
     if min(ticks) < 0:
         return None
-    move = agreement(_beside_predictions(window, poses, ticks, td_ns), config)
+    move = agreement(_beside_predictions(s, poses, ticks, td_ns), config)
     if move is None:
         return None
-    return ticks[-1], *relocate(window.X[ticks[-1]], window.P[ticks[-1]], move)
+    return ticks[-1], *relocate(s.x[ticks[-1]], s.P[ticks[-1]], move)
 
 
 def _beside_predictions(
-    window: Window, poses: Sequence[PoseMeasurement], ticks: list[int], td_ns: int
+    snapshots: Snapshots, poses: Sequence[PoseMeasurement], ticks: list[int], td_ns: int
 ) -> Rejected:
-    x = window.X[ticks]
+    x = snapshots.x[ticks]
     R_CI, p_CI = geo.invert(
         geo.matrix_from_quat(x[:, at.X_QIC : at.X_QIC + 4]), x[:, at.X_PIC : at.X_PIC + 3]
     )
     R_WC, p_WC = np.array([p.R_WC for p in poses]), np.array([p.p_WC for p in poses])
     R_z, p_z = geo.compose(R_WC, p_WC, R_CI, p_CI)
     t_ns = np.array([p.t_ns for p in poses])
-    lead = (t_ns + td_ns - window.t[ticks]) * 1e-9
+    lead = (t_ns + td_ns - snapshots.t[ticks]) * 1e-9
     return Rejected(
         (t_ns - t_ns[0]) * 1e-9,
         p_z,

@@ -9,7 +9,7 @@ from tagvo.camera.model import Camera
 from tagvo.geometry import Array
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, Observations, PoseMeasurement, PosePrior
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.filter.health import State
 from vio.localize.baselines import Output, VoArm
 from vio.records import ImuSample, NavState
@@ -24,7 +24,7 @@ class VioArm:
     name = "vio"
 
     def __init__(
-        self, estimator: Estimator, vo: TagVO | None = None, corners: bool = False
+        self, estimator: ErrorStateFilter, vo: TagVO | None = None, corners: bool = False
     ) -> None:
         """vo: is asked again, with the filter's prior, about a frame whose pose is ambiguous.
 

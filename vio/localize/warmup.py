@@ -17,7 +17,8 @@ from tagvo.tags.families import FAMILIES
 from tagvo.tags.tag_map import TagMap, map_from_dict
 from tagvo.track import Tracker
 from vio.config.filter import VioConfig
-from vio.filter.eskf import USUAL_NOISE, Estimator
+from vio.filter.eskf import ErrorStateFilter
+from vio.filter.noise_model import USUAL_NOISE
 from vio.records import ImuSample
 
 _SIDE_PX, _PITCH_PX = 40.0, 50.0
@@ -100,7 +101,7 @@ def _warm_filter(
 ) -> None:
     """Start a filter at rest and correct it both ways, late and in time; ask for its prior."""
     both = config.model_copy(update={"update": "corners"})  # it takes poses as well
-    core = Estimator(both, vo.camera, USUAL_NOISE, vo.tag_map, vo.config.floor)
+    core = ErrorStateFilter(both, vo.camera, USUAL_NOISE, vo.tag_map, vo.config.floor)
     force = pose.R_WC @ vo.camera.R_CI  # R_WI: at rest it carries the IMU along z of the map
     accel = config.gravity_m_s2 * force[2]
     shift = round(vo.camera.timeshift_s * 1e9)

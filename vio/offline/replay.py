@@ -11,6 +11,7 @@ from tagvo.pipeline import TagVO
 from vio.config import Config
 from vio.errors import EvaluationError, LogError
 from vio.filter import eskf as flt
+from vio.filter.noise_model import USUAL_NOISE
 from vio.interrupt import gently
 from vio.localize.baselines import Estimator, VoArm, VoFirArm
 from vio.localize.fused import VioArm, VoKfArm
@@ -233,8 +234,8 @@ def _filter(log: FlightLog, config: Config, vo: TagVO) -> tuple[VioArm | None, l
         return None, [f"{log.path}: no IMU, so visual odometry runs alone (no vio)"]
     shift = round(log.camera.timeshift_s * 1e9)
     warnings = check_imu(log.imu, log.frames.t_ns + shift, str(log.path))
-    core = flt.Estimator(
-        config.vio, log.camera, log.imu_noise or flt.USUAL_NOISE, log.tag_map, config.tagvo.floor
+    core = flt.ErrorStateFilter(
+        config.vio, log.camera, log.imu_noise or USUAL_NOISE, log.tag_map, config.tagvo.floor
     )
     return VioArm(core, vo, config.vio.update == "corners"), warnings
 

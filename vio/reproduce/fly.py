@@ -14,8 +14,8 @@ from vio.evaluate.compare import VIEWS
 from vio.evaluate.metrics import capture_errors, now_errors
 from vio.evaluate.records import Trajectory, Window
 from vio.evaluate.truth import TruthTrack, clean_truth
-from vio.filter.eskf import USUAL_NOISE
-from vio.filter.eskf import Estimator as Filter
+from vio.filter.eskf import ErrorStateFilter
+from vio.filter.noise_model import USUAL_NOISE
 from vio.localize.baselines import Estimator, VoArm, VoFirArm
 from vio.localize.fused import VioArm
 from vio.localize.run import run, trajectory
@@ -98,7 +98,7 @@ def _arm(name: str, recording: Recording) -> tuple[TagVO, Estimator]:
     if name not in ("VIO", "VIO corners", "JBT in the filter"):
         return vo, VoArm(recording.camera)
     noise, floor = recording.noise or USUAL_NOISE, config.tagvo.floor
-    core = Filter(config.vio, recording.camera, noise, recording.tag_map, floor)
+    core = ErrorStateFilter(config.vio, recording.camera, noise, recording.tag_map, floor)
     return vo, VioArm(core, vo, config.vio.update == "corners")
 
 

@@ -16,7 +16,7 @@ from tagvo.kernels.tag_residual import (
     accumulate,
     mean_covariance,
     residual_factor,
-    systematic_rows,
+    systematic_shift,
     tag_rows,
 )
 from tagvo.pipeline import TagVO
@@ -97,12 +97,12 @@ def test_woodbury_law_a_laying_error_moves_the_camera_with_the_tag(seed, tilt_de
     assert_allclose(whole / scale, expected / scale, atol=1e-5)
 
 
-def test_systematic_rows_are_the_shift_of_the_corners():
-    offset = np.random.default_rng(0).uniform(-300, 300, (4, 2))
-    B, floor = np.empty((8, 3)), np.array([0.001, 0.5])
-    systematic_rows(offset, floor, B)
+def test_systematic_shift_is_that_of_the_corners():
+    offset = np.random.default_rng(0).uniform(-300, 300, (5, 4, 2))
+    shift = systematic_shift(offset, 0.001, 0.5)
     for s, wrong in enumerate(([0.001, 0, 0], [0, 0.5, 0], [0, 0, 0.5])):
-        assert_allclose(B[:, s].reshape(4, 2), offset * wrong[0] + np.array(wrong[1:]))
+        expected = offset * wrong[0] + np.array(wrong[1:])
+        assert_allclose(shift[..., s].reshape(5, 4, 2), expected)
 
 
 def test_accumulate_is_the_product():

@@ -13,7 +13,7 @@ from vio.config.mavlink import MavlinkConfig
 from vio.daemon.clock import FlightClock
 from vio.daemon.publisher import FlightArm
 from vio.daemon.setup_guard import SetupGuard
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.filter.health import State
 from vio.mavlink.codec import MESSAGE_IDS, Codec
 from vio.mavlink.protocol import Companion
@@ -33,7 +33,7 @@ class Path:
         config = MavlinkConfig.model_validate(made)
         self.companion = Companion(config, eye(3), zeros(3), 7, MESSAGE_IDS)
         self.companion.resets.saved(7)
-        self.estimator = Estimator(VioConfig(), CAMERA, PIXHAWK)
+        self.estimator = ErrorStateFilter(VioConfig(), CAMERA, PIXHAWK)
         self.arm = FlightArm(self.estimator, None, False, self, FlightClock(), blame=blame)
         self.imu = MavlinkImu(self.companion, eye(3), self.arm.imu)
         self.codec, self.out = Codec(1, 1), m.MAVLink(None, 1, 1)

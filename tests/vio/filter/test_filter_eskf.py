@@ -1,5 +1,7 @@
 """The estimator as a whole: order of arrival, lateness, consistency, start, prior, determinism."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from flights import CAMERA, CLEAN, edit_poses, events, feed, fly, replay, rms
@@ -10,9 +12,10 @@ from tagvo import geometry as geo
 from tagvo.pipeline import TagVO
 from vio.config.filter import PriorConfig, VioConfig
 from vio.filter import state as at
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.filter.health import State
 from vio.filter.history import _mean_rate, _rate_span
+from vio.filter.measurements import constraints, pose
 from vio.frames import level_frame
 from vio.localize.fused import VioArm
 from vio.records import ImuSample
@@ -21,7 +24,7 @@ from vio.sim.sensors.simple_imu import PIXHAWK
 
 
 def run(whats, config=None, camera=CAMERA):
-    estimator = Estimator(config or VioConfig(), camera, PIXHAWK)
+    estimator = ErrorStateFilter(config or VioConfig(), camera, PIXHAWK)
     outputs = [feed(estimator, what) for what in whats]
     return estimator, [o for o in outputs if o is not None]
 
@@ -31,6 +34,51 @@ def in_order(flown, delays_ns):
     poses = [p for _, p in flown.poses]
     whats += [(p.t_ns + int(delays_ns[i]), 1, i, p) for i, p in enumerate(poses)]
     return [w[3] for w in sorted(whats, key=lambda w: w[:3])]
+
+
+@pytest.mark.parametrize("ahead_s", [0.9, 10.0, 1e8])
+def test_one_pose_from_the_future_is_refused_and_leaves_nothing(ahead_s):
+    """What its stamp says must not stay: neither LOST for ever, nor a restart in vain."""
+    flown = fly("T3", 3, seconds=7.0)
+    whats = events(flown)
+    k = next(i for i, w in enumerate(whats) if not isinstance(w, ImuSample) and w.t_ns > 4e9)
+    false = replace(whats[k], t_ns=whats[k].t_ns + round(ahead_s * 1e9))
+    clean, _ = run(whats)
+    estimator, states = ErrorStateFilter(VioConfig(), CAMERA, PIXHAWK), []
+    for what in [*whats[:k], false, *whats[k + 1 :]]:
+        feed(estimator, what)
+        states.append(estimator.health().state)
+    assert State.LOST not in states[k + 50 :]
+    assert estimator.counters.get("restarts", 0) == 0
+    if ahead_s > 1.0:
+        assert estimator.counters["too_early"] == 1
+        assert np.linalg.norm((estimator.state() - clean.state())[:3]) < 2e-3
+
+
+def test_a_frame_repeated_before_the_start_does_not_crowd_the_others_out():
+    whats = events(fly("T3", 3, seconds=4.0))
+    often = [w for what in whats for w in [what] * (1 if isinstance(what, ImuSample) else 40)]
+    once, _ = run(whats)
+    many, _ = run(often)
+    assert np.array_equal(many.state(), once.state())
+    assert many.counters["duplicate"] == 39 * sum(not isinstance(w, ImuSample) for w in whats)
+
+
+def test_of_one_stamp_kinds_lie_in_their_own_order_and_none_twice():
+    """A pose and a rest at one nanosecond: refused a second time, whichever came first."""
+    whats = events(fly("T3", 3, seconds=4.0))
+    last = next(w for w in reversed(whats) if not isinstance(w, ImuSample))
+    done = []
+    for pose_first in (True, False):
+        estimator, _ = run([w for w in whats if w is not last])
+        history = estimator._history
+        rows = [pose.pack(last), constraints.still(0.5)]
+        for row in rows if pose_first else rows[::-1]:
+            assert history.insert(last.t_ns, row) == ""
+        for row in rows:
+            assert history.insert(last.t_ns, row) == "duplicate"
+        done.append(estimator.state())
+    assert np.array_equal(*done)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -111,7 +159,7 @@ def test_gravity_is_found_wherever_it_points(tilt_deg):
     R_WG = geo.exp(np.radians(tilt_deg) * np.array([0.6, 0.8, 0.0]))
     track = replay(fly("T3", 5, CLEAN, seconds=12.0, R_WG=R_WG))
     x = track.estimator.state()
-    up = geo.matrix_from_quat(x[at.X_QWG : at.X_QWG + 4])[:, 2]
+    up = geo.matrix_from_quat(x[at.X_QWL : at.X_QWL + 4])[:, 2]
     assert np.degrees(np.arccos(np.clip(up @ R_WG[:, 2], -1.0, 1.0))) < 0.5
     assert rms(track.p[track.t_s > 5.0]) < 0.015
 
@@ -143,30 +191,30 @@ def test_a_true_calibration_is_confirmed_and_held():
 
 
 def test_inflation_follows_the_memory_of_the_errors():
-    from vio.filter.adaptive_noise import inflation
+    from vio.filter.adaptive_noise import NoisePolicy, inflation
 
-    par = np.array([4.0, 1.0, 1.0, -1.0])
+    policy = NoisePolicy(4.0, True, False, 0.0, 1.0)
     slow = PoseNoise(white=(0.003, 0.1), slow=(0.02, 0.7), slow_s=0.3, outliers=0.0, dropouts=0)
     white = replay(fly("T3", 8, PoseNoise(slow=(0.0, 0.0), outliers=0.0, dropouts=0)))
     correlated = replay(fly("T3", 8, slow))
-    assert inflation(white.estimator.state(), par, at.WITH_BIAS) < 2.5
-    assert inflation(correlated.estimator.state(), par, at.WITH_BIAS) > 6.0
+    assert inflation(white.estimator.state(), policy, True) < 2.5
+    assert inflation(correlated.estimator.state(), policy, True) > 6.0
 
 
 def test_the_slow_share_is_learnt():
     """Errors that last 5 s are told from white ones; where they are told nothing, none is."""
-    from vio.filter.adaptive_noise import slow_share
+    from vio.filter.adaptive_noise import NoisePolicy, slow_share
 
-    par = np.array([4.0, 1.0, 1.0, -1.0])
+    policy = NoisePolicy(4.0, True, False, 0.0, 1.0)
     white = replay(fly("T3", 8, PoseNoise(slow=(0.0, 0.0), outliers=0.0, dropouts=0)))
     slow = replay(fly("T3", 8, PoseNoise(slow=(0.025, 1.0), outliers=0.0, dropouts=0)))  # half
-    assert slow_share(white.estimator.state(), par, at.WITH_BIAS)[0] < 0.1
-    of_positions, of_rotations = slow_share(slow.estimator.state(), par, at.WITH_BIAS)
+    assert slow_share(white.estimator.state(), policy, True)[0] < 0.1
+    of_positions, of_rotations = slow_share(slow.estimator.state(), policy, True)
     assert 0.2 < of_positions < 0.8
     assert 0.0 < of_rotations < of_positions
-    assert slow_share(slow.estimator.state(), par, at.BASE) == (0.0, 0.0)
-    par[3] = 0.4
-    assert slow_share(white.estimator.state(), par, at.WITH_BIAS) == (0.4, 0.4)
+    assert slow_share(slow.estimator.state(), policy, False) == (0.0, 0.0)
+    policy = policy._replace(share_given=True, share=0.4)
+    assert slow_share(white.estimator.state(), policy, True) == (0.4, 0.4)
 
 
 def test_prior_is_where_the_camera_will_be():
@@ -180,7 +228,7 @@ def test_prior_is_where_the_camera_will_be():
         e = np.concatenate([p_WC - prior.p_WC, geo.log(prior.R_WC.T @ R_WC)])
         assert np.linalg.norm(e[:3]) < 0.03
         assert e @ np.linalg.solve(prior.cov, e) < 40.0
-    assert Estimator(VioConfig(), CAMERA, PIXHAWK).prior(0) is None
+    assert ErrorStateFilter(VioConfig(), CAMERA, PIXHAWK).prior(0) is None
 
 
 @pytest.mark.parametrize("name", ["T1", "T3"])
@@ -207,7 +255,7 @@ def test_ground_holds_the_velocity_at_zero():
 
     flown.imu = still
     flown = edit_poses(flown, lambda p: replace(pose, t_ns=p.t_ns))
-    estimator = Estimator(config, CAMERA, PIXHAWK)
+    estimator = ErrorStateFilter(config, CAMERA, PIXHAWK)
     estimator.ground(True)
     for what in events(flown):
         if isinstance(what, ImuSample) or what.t_ns < 3e9:
@@ -229,11 +277,10 @@ def test_the_rate_behind_the_time_offset_is_a_mean_over_the_span_asked_for():
 
 
 def test_a_quiet_gyro_is_averaged_briefly_a_noisy_one_for_longer():
-    q = np.zeros(at.NOISE)
+    q = at.ProcessNoise(*np.zeros(8).tolist())
     spans = []
     for density in (1e-4, 4e-3, 0.1):
-        q[at.N_GYRO] = density**2
-        spans.append(_rate_span(q) * 1e-6)
+        spans.append(_rate_span(q._replace(gyro=density**2)) * 1e-6)
     np.testing.assert_allclose(spans, [15.0, 40.0, 100.0])
 
 
@@ -241,7 +288,7 @@ def test_a_wobbling_vehicle_does_not_lead_the_time_offset_astray():
     """T2 by the quadrotor, shaken at 1 to 10 Hz, with every nuisance at once."""
     recording, seen = flight(1, "nuisances", ("flight.name=T2", "vehicle=qr"))
     vo = TagVO(recording.camera, recording.tag_map)
-    core = Estimator(VioConfig(), recording.camera, recording.noise, recording.tag_map)
+    core = ErrorStateFilter(VioConfig(), recording.camera, recording.noise, recording.tag_map)
     arm = VioArm(core, vo)
     known = [f.t_ns if f.arrival_ns is None else f.arrival_ns for f in seen]
     merged = [(int(t), 0, i) for i, t in enumerate(recording.imu.arrival_ns)]

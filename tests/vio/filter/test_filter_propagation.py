@@ -9,26 +9,29 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
+from tagvo.kernels.so3 import exp_quat
 from vio.filter import state as at
 from vio.filter.propagation import (
     _relax_bias,
     add_noise,
-    exp_quat,
     mechanise,
     propagate,
     spread,
     transition_into,
 )
 
-Q = np.square([3e-4, 5e-3, 2e-5, 5e-4, 1e-5, 1e-5, 0.0, 0.0])
-Q[at.N_BIAS_RATE], Q[at.N_GRAVITY] = 0.2, 9.81
+Q = at.ProcessNoise(*np.square([3e-4, 5e-3, 2e-5, 5e-4, 1e-5, 1e-5]).tolist(), 0.2, 9.81)
+PLAIN, BIASED = at.layout(), at.layout(["pose_bias"])
+FULL = at.layout(["pose_bias", "lever_arm"])
+LEVERED = at.layout(["lever_arm"])
+LAYOUTS = [PLAIN, BIASED, LEVERED, FULL]
 
 
 def a_state(seed):
     rng = np.random.default_rng(seed)
     x = np.zeros(at.NOMINAL)
     x[: at.X_RECENT] = rng.normal(size=at.X_RECENT)
-    for i in (at.X_Q, at.X_QIC, at.X_QWG):
+    for i in (at.X_Q, at.X_QIC, at.X_QWL):
         x[i : i + 4] /= np.linalg.norm(x[i : i + 4])
     x[at.X_BG : at.X_BG + 3] *= 0.05
     x[at.X_TD] *= 0.02
@@ -36,33 +39,31 @@ def a_state(seed):
     return x, rng
 
 
-def retract(x, d):
-    """The state x with the error d (30,) added, by plain NumPy."""
+def retract(x, d, layout=FULL):
+    """The state x with the error d (n,) added, by plain NumPy from the table of blocks."""
     x = x.copy()
-    for i, k in ((at.X_P, at.P), (at.X_V, at.V), (at.X_BG, at.BG), (at.X_BA, at.BA)):
-        x[i : i + 3] += d[k : k + 3]
-    x[at.X_TD] += d[at.TD]
-    x[at.X_PIC : at.X_PIC + 3] += d[at.LEVER : at.LEVER + 3]
-    x[at.X_BIAS : at.X_BIAS + 6] += d[at.BIAS : at.BIAS + 6]
-    turns = ((at.X_Q, d[at.TH : at.TH + 3]), (at.X_QIC, d[at.EX : at.EX + 3]),
-             (at.X_QWG, np.append(d[at.GR : at.GR + 2], 0.0)))  # fmt: skip
-    for i, phi in turns:
-        R = geo.matrix_from_quat(x[i : i + 4]) @ geo.exp(phi)
-        x[i : i + 4] = geo.quat_from_matrix(R)
+    for e, size, at_x, turns in layout.rows:
+        if not turns:
+            x[at_x : at_x + size] += d[e : e + size]
+            continue
+        phi = np.append(d[e : e + size], np.zeros(3 - size))
+        R = geo.matrix_from_quat(x[at_x : at_x + 4]) @ geo.exp(phi)
+        x[at_x : at_x + 4] = geo.quat_from_matrix(R)
     return x
 
 
-def minus(a, b):
-    """The error d (30,) with a = retract(b, d); gravity's turn about its own axis left out."""
-    d = np.zeros(30)
-    for i, k in ((at.X_P, at.P), (at.X_V, at.V), (at.X_BG, at.BG), (at.X_BA, at.BA)):
-        d[k : k + 3] = a[i : i + 3] - b[i : i + 3]
-    d[at.TD] = a[at.X_TD] - b[at.X_TD]
-    d[at.LEVER : at.LEVER + 3] = a[at.X_PIC : at.X_PIC + 3] - b[at.X_PIC : at.X_PIC + 3]
-    d[at.BIAS : at.BIAS + 6] = a[at.X_BIAS : at.X_BIAS + 6] - b[at.X_BIAS : at.X_BIAS + 6]
-    for i, k, n in ((at.X_Q, at.TH, 3), (at.X_QIC, at.EX, 3), (at.X_QWG, at.GR, 2)):
-        R_a, R_b = geo.matrix_from_quat(a[i : i + 4]), geo.matrix_from_quat(b[i : i + 4])
-        d[k : k + n] = geo.log(R_b.T @ R_a)[:n]
+def minus(a, b, layout=FULL):
+    """The error d (n,) with a = retract(b, d); a level frame's turn about its own z left out."""
+    d = np.zeros(layout.n)
+    for e, size, at_x, turns in layout.rows:
+        if not turns:
+            d[e : e + size] = a[at_x : at_x + size] - b[at_x : at_x + size]
+            continue
+        R_a, R_b = (
+            geo.matrix_from_quat(a[at_x : at_x + 4]),
+            geo.matrix_from_quat(b[at_x : at_x + 4]),
+        )
+        d[e : e + size] = geo.log(R_b.T @ R_a)[:size]
     return d
 
 
@@ -79,7 +80,7 @@ def dense_transition(x, w, f, dt, n):
     mechanise(y, w, f, dt, 9.81, R_mid)
     transition_into(B, y, w, f, dt, 9.81, R_mid)
     F = np.eye(n)
-    columns = [*range(at.TH, at.TH + 9), at.GR, at.GR + 1]
+    columns = [*range(at.TH, at.TH + 9), at.LEVEL, at.LEVEL + 1]
     F[at.P : at.P + 3, at.V : at.V + 3] = dt * np.eye(3)
     F[at.P : at.P + 3, columns] = 0.5 * dt * B[:3]
     F[at.V : at.V + 3, columns] = B[:3]
@@ -103,7 +104,7 @@ def test_transition_is_the_derivative_of_the_step(seed, dt):
     assert_allclose(F, numeric, atol=2e-8)
 
 
-@pytest.mark.parametrize("n", [at.BASE, at.WITH_LEVER, at.WITH_BIAS])
+@pytest.mark.parametrize("n", [layout.n for layout in LAYOUTS])
 def test_spread_equals_the_dense_product(n):
     x, rng = a_state(7)
     w, f = rng.normal(size=3), rng.normal(size=3) * 9.0
@@ -126,12 +127,12 @@ def test_process_noise_is_van_loans_to_the_order_it_keeps():
     A[0:3, 3:6] = np.eye(3)
     A[3:6, 6:9], A[3:6, 12:15] = -R @ geo.hat(f), -R
     A[6:9, 9:12] = -np.eye(3)
-    sigma = np.sqrt(Q[[at.N_ACCEL, at.N_GYRO, at.N_GYRO_WALK, at.N_ACCEL_WALK]])
+    sigma = np.sqrt([Q.accel, Q.gyro, Q.gyro_walk, Q.accel_walk])
     G[3:6, 0:3], G[6:9, 3:6] = R * sigma[0], np.eye(3) * sigma[1]
     G[9:12, 6:9], G[12:15, 9:12] = np.eye(3) * sigma[2], np.eye(3) * sigma[3]
     _, expected = van_loan_discretization(A, G, dt)
     P = np.zeros((21, 21))
-    add_noise(P, R, dt, Q, np.ones(6))
+    add_noise(P, R, dt, Q, np.ones(6), PLAIN)
     assert_allclose(np.diag(P)[3:15], np.diag(expected)[3:15], rtol=2e-2)
     assert_allclose(P[0:3, 3:6], expected[0:3, 3:6], atol=2e-2 * P[3, 3] * dt)
     assert P[0, 0] == pytest.approx(expected[0, 0], rel=2e-2)
@@ -140,7 +141,7 @@ def test_process_noise_is_van_loans_to_the_order_it_keeps():
 def test_a_wide_axis_widens_that_axis_alone():
     P, scale = np.zeros((21, 21)), np.ones(6)
     scale[1] = scale[5] = 100.0
-    add_noise(P, np.eye(3), 0.005, Q, scale)
+    add_noise(P, np.eye(3), 0.005, Q, scale, PLAIN)
     assert P[at.TH + 1, at.TH + 1] == pytest.approx(100.0 * P[at.TH, at.TH])
     assert P[at.V + 2, at.V + 2] == pytest.approx(100.0 * P[at.V, at.V])
 
@@ -175,26 +176,26 @@ def test_exponential_equals_tagvos(seed, size):
     assert_allclose(R, geo.exp(phi), atol=1e-12)
 
 
-@pytest.mark.parametrize("n", [at.WITH_BIAS, at.WITH_LEVER])
-def test_the_pose_bias_forgets_and_keeps_its_stationary_spread(n):
+@pytest.mark.parametrize("layout", [BIASED, FULL])
+def test_the_pose_bias_forgets_and_keeps_its_stationary_spread(layout):
     x, _ = a_state(2)
-    P = np.eye(n) * 1e-4
+    P, first = np.eye(layout.n) * 1e-4, layout.pose_bias
     b = x[at.X_BIAS]
     for _ in range(20000):
-        propagate(x, P, np.array([0.0] * 5 + [9.81] + [1.0] * 6), 0.005, Q)
+        propagate(x, P, np.array([0.0] * 5 + [9.81] + [1.0] * 6), 0.005, Q, layout)
     assert abs(x[at.X_BIAS]) < abs(b) * 1e-6
-    assert_allclose(np.diag(P)[at.BIAS : at.BIAS + 6], 1.0, rtol=1e-3)
+    assert_allclose(np.diag(P)[first : first + 6], 1.0, rtol=1e-3)
 
 
 def test_relaxing_the_pose_bias_is_a_gauss_markov_step():
     rng = np.random.default_rng(4)
-    A = rng.normal(size=(at.WITH_LEVER, at.WITH_LEVER))
-    P, dt = A @ A.T, 0.2
-    F, Q_dense = np.eye(at.WITH_LEVER), np.zeros_like(P)
-    keep = np.exp(-dt * Q[at.N_BIAS_RATE])
-    for i in range(at.BIAS, at.BIAS + 6):
+    A = rng.normal(size=(FULL.n, FULL.n))
+    P, first = A @ A.T, FULL.pose_bias
+    F, Q_dense = np.eye(FULL.n), np.zeros_like(P)
+    keep = np.exp(-0.2 * Q.pose_bias_rate)
+    for i in range(first, first + 6):
         F[i, i], Q_dense[i, i] = keep, 1.0 - keep**2
     expected = F @ P @ F.T + Q_dense
-    _relax_bias(P, dt, Q)
+    _relax_bias(P, first, keep)
     assert_allclose(P, expected, atol=1e-12 * np.abs(expected).max())
     assert np.array_equal(P, P.T)

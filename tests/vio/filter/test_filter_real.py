@@ -12,7 +12,7 @@ from vio.config.filter import VioConfig
 from vio.evaluate.metrics import now_errors, stats
 from vio.evaluate.records import Window
 from vio.evaluate.truth import clean_truth
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.localize.fused import VioArm
 from vio.localize.run import run, trajectory
 from vio.localize.stopwatch import Stopwatch
@@ -36,7 +36,7 @@ def test_errors_on_a_hand_held_log(row, update):
     log = FlightLog.open(Path(DATA) / "euroc_imu_april", use_detections=True, **options)
     vo = TagVO(log.camera, log.tag_map, TagvoConfig())
     config = VioConfig(update=update)
-    estimator = Estimator(config, log.camera, log.imu_noise, log.tag_map, vo.config.floor)
+    estimator = ErrorStateFilter(config, log.camera, log.imu_noise, log.tag_map, vo.config.floor)
     arm = VioArm(estimator, vo, update == "corners")
     result = run(log.events(), vo, [arm], Stopwatch())
     window = Window(log.t0_ns + 8_000_000_000, log.end_ns)

@@ -10,12 +10,14 @@ from tagvo import geometry as geo
 from tagvo.records import PoseMeasurement
 from vio.config.filter import RecoveryConfig, VioConfig
 from vio.filter import state as at
-from vio.filter.adaptive_noise import no_memory, remember
-from vio.filter.consensus import Relocation, relocate
-from vio.filter.history import Window
+from vio.filter.adaptive_noise import NoisePolicy, no_memory, remember
+from vio.filter.history import History
 from vio.filter.initialization import Rig, begin
+from vio.filter.measurements import kinds
+from vio.filter.measurements.pose import NUMBERS
+from vio.filter.noise_model import Model
 from vio.filter.preprocessing import Interval
-from vio.filter.relocalization import relocation
+from vio.filter.relocalization import Relocation, relocate, relocation
 
 MS = 1_000_000
 G = np.array([0.0, 0.0, 9.80665])
@@ -23,10 +25,15 @@ G = np.array([0.0, 0.0, 9.80665])
 
 def state(p=(0.0, 0.0, 0.0), v=(0.0, 0.0, 0.0), R=None):
     x = np.zeros(at.NOMINAL)
-    x[[at.X_QIC, at.X_QWG]] = 1.0
+    x[[at.X_QIC, at.X_QWL]] = 1.0
     x[at.X_P : at.X_P + 3], x[at.X_V : at.X_V + 3] = p, v
     x[at.X_Q : at.X_Q + 4] = geo.quat_from_matrix(np.eye(3) if R is None else R)
     return x
+
+
+def empty_history():
+    q, policy = at.ProcessNoise(*np.zeros(8).tolist()), NoisePolicy(1.0, False, False, 0.0, 1.0)
+    return History((16, 4, kinds.HEAD + NUMBERS), Model(q, policy, at.layout()))
 
 
 def pose(t_ns, p, R=None):
@@ -45,15 +52,16 @@ def test_a_relocation_turns_the_velocity_with_the_vehicle():
 
 def test_rejected_poses_are_compared_with_predictions_at_their_own_stamps():
     """Snapshots every 100 ms, poses up to 90 ms after them at 3 m/s: 27 cm, were it not led on."""
-    window = Window(at.BASE, 16, 4, 2 + at.POSE_NUMBERS, np.zeros(at.NOISE), np.zeros(4))
+    history = empty_history()
     v, moved = np.array([3.0, 0.0, 0.0]), np.array([5.0, -2.0, 1.0])
+    s = history.snapshots
     for k in range(12):
-        window.t[k], window.P[k] = 100 * MS * k, 1e-4 * np.eye(at.BASE)
-        window.X[k] = state(0.1 * k * v, v)
-    window.last = 11
+        s.t[k], s.P[k] = 100 * MS * k, 1e-4 * np.eye(at.BASE)
+        s.x[k] = state(0.1 * k * v, v)
+    history.last = 11
     stamps = [100 * MS * k + lead * MS for k, lead in zip(range(8), (0, 90) * 4, strict=True)]
     poses = [pose(t, 1e-9 * t * v + moved) for t in stamps]
-    found = relocation(window, poses, RecoveryConfig())
+    found = relocation(history, poses, RecoveryConfig())
     assert found is not None, "one shift explains them all"
     tick, x, _ = found
     assert tick == 7
@@ -62,12 +70,13 @@ def test_rejected_poses_are_compared_with_predictions_at_their_own_stamps():
 
 
 def test_poses_that_one_shift_does_not_explain_relocate_nothing():
-    window = Window(at.BASE, 16, 4, 2 + at.POSE_NUMBERS, np.zeros(at.NOISE), np.zeros(4))
+    history = empty_history()
+    s = history.snapshots
     for k in range(12):
-        window.t[k], window.X[k], window.P[k] = 100 * MS * k, state(), 1e-4 * np.eye(at.BASE)
-    window.last = 11
+        s.t[k], s.x[k], s.P[k] = 100 * MS * k, state(), 1e-4 * np.eye(at.BASE)
+    history.last = 11
     poses = [pose(100 * MS * k, (float(k % 2), 0.0, 0.0)) for k in range(8)]
-    assert relocation(window, poses, RecoveryConfig()) is None
+    assert relocation(history, poses, RecoveryConfig()) is None
 
 
 @pytest.mark.parametrize("moving", [False, True])

@@ -3,20 +3,18 @@
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from test_filter_propagation import a_state, minus, retract
+from test_filter_propagation import FULL, LAYOUTS, PLAIN, a_state, minus, retract
 
 from tagvo import geometry as geo
 from tagvo.records import PoseMeasurement
 from vio.filter import state as at
-from vio.filter.measurements.pivot import pivot_of, pose_row
-from vio.filter.measurements.predicted import (
-    camera_jacobian,
-    camera_pose,
-    pivot_rows,
-    pose_residual,
-)
-from vio.filter.update import correct_clock, correct_pose, correct_rig, correct_still, inject
+from vio.filter.adaptive_noise import Trust
+from vio.filter.measurements import constraints, kinds, pose
+from vio.filter.measurements.camera import camera_jacobian, camera_pose
+from vio.filter.measurements.pose import pivot_of, pivot_rows
+from vio.filter.update import inject
 
+TRUST, OPEN_GATE = Trust(1.0, 0.0, 0.0, 1.0), Trust(1.0, 0.0, 0.0, np.inf)
 W = np.array([0.3, -0.4, 0.2])
 
 
@@ -41,7 +39,7 @@ def measured(x, rng, exact=False):
 
 def residual(x, z):
     r, y, R = np.empty(6), np.empty(3), np.empty((3, 3))
-    pose_residual(x, z, r, y, R)
+    pose.residual(x, pose.unpack(z), r, y, R)
     return r, y, R
 
 
@@ -49,7 +47,7 @@ def residual(x, z):
 def test_camera_jacobian_is_the_derivative_of_the_pose(seed):
     x, _ = a_state(seed)
     H = np.empty((6, 30))
-    camera_jacobian(x, W, H)
+    camera_jacobian(x, W, H, FULL)
     R0, _ = predicted(x)
     numeric, h = np.zeros((6, 30)), 1e-6
     for i in range(at.TD):
@@ -58,7 +56,7 @@ def test_camera_jacobian_is_the_derivative_of_the_pose(seed):
         (Ra, pa), (Rb, pb) = predicted(retract(x, d)), predicted(retract(x, -d))
         numeric[:, i] = np.concatenate([pa - pb, geo.log(R0.T @ Ra) - geo.log(R0.T @ Rb)]) / (2 * h)
     assert_allclose(H[:, : at.TD], numeric[:, : at.TD], atol=1e-8)
-    for i in range(at.LEVER, 27):
+    for i in range(FULL.p_IC, FULL.n):
         d = np.zeros(30)
         d[i] = h
         (_, pa), (_, pb) = predicted(retract(x, d)), predicted(retract(x, -d))
@@ -68,7 +66,7 @@ def test_camera_jacobian_is_the_derivative_of_the_pose(seed):
 def test_time_offset_column_is_the_motion_of_the_camera():
     x, _ = a_state(5)
     H = np.empty((6, 21))
-    camera_jacobian(x, W, H)
+    camera_jacobian(x, W, H, PLAIN)
     h, b = 1e-5, x.copy()
     w = W - x[at.X_BG : at.X_BG + 3]
     poses = []
@@ -85,13 +83,13 @@ def test_time_offset_column_is_the_motion_of_the_camera():
 
 def test_pivot_rows_are_the_derivative_of_the_residual():
     x, rng = a_state(9)
-    z = pose_row(measured(x, rng, exact=True))[2:]
+    z = pose.pack(measured(x, rng, exact=True))[2:]
     _, y, R = residual(x, z)
     H = np.empty((6, 30))
-    camera_jacobian(x, W, H)
-    pivot_rows(H, R, y, 30)
+    camera_jacobian(x, W, H, FULL)
+    pivot_rows(H, R, y)
     h = 1e-6
-    for i in [*range(at.TD), *range(at.LEVER, 30)]:
+    for i in [*range(at.TD), *range(FULL.p_IC, FULL.n)]:
         d = np.zeros(30)
         d[i] = h
         slope = (residual(retract(x, -d), z)[0] - residual(retract(x, d), z)[0]) / (2 * h)
@@ -106,48 +104,49 @@ def test_pivot_decouples_position_and_rotation():
     T[:3, :3], T[:3, 3:] = -R, R @ geo.hat(y)
     cov = T @ np.block([[place, np.zeros((3, 3))], [np.zeros((3, 3)), turn]]) @ T.T
     assert_allclose(pivot_of(R, cov), y, atol=1e-6)
-    row = pose_row(PoseMeasurement(0, np.zeros(3), R, cov, (0,)))
-    assert_allclose(row[9:45].reshape(6, 6)[:3, :3], place, atol=1e-9)
+    row = pose.pack(PoseMeasurement(0, np.zeros(3), R, cov, (0,)))
+    assert_allclose(pose.unpack(row[kinds.HEAD :]).cov[:3, :3], place, atol=1e-9)
     assert_allclose(pivot_of(R, np.eye(6)), 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("n", [at.BASE, at.WITH_LEVER, at.WITH_BIAS])
+@pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("share", [0.0, 0.4])
 @pytest.mark.parametrize("seed", range(3))
-def test_correction_equals_joseph_form_and_filterpy(n, seed, share):
+def test_correction_equals_joseph_form_and_filterpy(layout, seed, share):
     from filterpy.kalman import update
 
     x, rng = a_state(seed)
+    n, first = layout.n, layout.pose_bias
     P = spread_of(rng, n)
-    z = pose_row(measured(x, rng))[2:]
+    z = pose.pack(measured(x, rng))[2:]
     r, y, R_WC = residual(x, z)
     H = np.empty((6, n))
-    camera_jacobian(x, W, H)
-    pivot_rows(H, R_WC, y, n)
-    cov = z[7:43].reshape(6, 6)
-    share = share if n >= at.WITH_BIAS else 0.0
+    camera_jacobian(x, W, H, layout)
+    pivot_rows(H, R_WC, y)
+    cov = pose.unpack(z).cov
+    share = share if first != at.OFF else 0.0
     slow = np.repeat([share, 0.3 * share], 3)
     white = np.diag(np.sqrt(1.0 - slow))
     R = 2.0 * white @ cov @ white
     if share > 0.0:  # the pose bias is in units of the covariance's Cholesky factor
-        H[:, at.BIAS : at.BIAS + 6] = np.diag(np.sqrt(slow)) @ np.linalg.cholesky(cov)
-        r = r - H[:, at.BIAS : at.BIAS + 6] @ x[at.X_BIAS : at.X_BIAS + 6]
+        H[:, first : first + 6] = np.diag(np.sqrt(slow)) @ np.linalg.cholesky(cov)
+        r = r - H[:, first : first + 6] @ x[at.X_BIAS : at.X_BIAS + 6]
     S = H @ P @ H.T + R
     K = np.linalg.solve(S, H @ P).T
-    dx = np.zeros(30)
-    dx[:n] = K @ r
+    dx = K @ r
     joseph = (np.eye(n) - K @ H) @ P @ (np.eye(n) - K @ H).T + K @ R @ K.T
     theirs, P_theirs = update(np.zeros(n), P, r, R, H)
-    assert_allclose(theirs, dx[:n], atol=1e-10)
+    assert_allclose(theirs, dx, atol=1e-10)
     assert_allclose(P_theirs, joseph, atol=1e-10)
     G = np.eye(n)
     for i in (at.TH, at.EX):
         G[i : i + 3, i : i + 3] -= 0.5 * geo.hat(dx[i : i + 3])
     ours, P_ours = x.copy(), P.copy()
-    verdict, nis = correct_pose(ours, P_ours, W, z, (2.0, share, 0.3 * share), np.inf, np.empty(6))
-    assert verdict == at.ACCEPTED
+    trust = Trust(2.0, share, 0.3 * share, np.inf)
+    verdict, nis = pose.update(ours, P_ours, W, z, trust, np.empty(6), layout)
+    assert verdict == kinds.ACCEPTED
     assert nis == pytest.approx(r @ np.linalg.solve(S, r))
-    assert_allclose(minus(ours, retract(x, dx)), 0.0, atol=1e-10)
+    assert_allclose(minus(ours, retract(x, dx, layout), layout), 0.0, atol=1e-10)
     assert_allclose(P_ours, G @ joseph @ G.T, atol=1e-10)
     assert np.array_equal(P_ours, P_ours.T)
 
@@ -168,22 +167,22 @@ def test_reset_jacobian_is_the_derivative_of_the_new_error():
     )
     assert_allclose(G, numeric, atol=5e-4)  # first order in phi
     x, rng = a_state(0)
-    P, dx = spread_of(rng, 21), np.zeros(30)
+    P, dx = spread_of(rng, 21), np.zeros(21)
     dx[at.TH : at.TH + 3] = phi
     expected = np.eye(21)
     expected[at.TH : at.TH + 3, at.TH : at.TH + 3] = G
     expected = expected @ P @ expected.T
-    inject(x, P, dx)
+    inject(x, P, dx, PLAIN)
     assert_allclose(P, expected, atol=1e-14)
 
 
 @pytest.mark.parametrize(
     ("shift", "turn", "verdict"),
     [
-        (0.0, 0.0, at.ACCEPTED),
-        (0.0, 2.5, at.POSITION_ONLY),
-        (3.0, 0.0, at.ROTATION_ONLY),
-        (3.0, 2.5, at.REJECTED),
+        (0.0, 0.0, kinds.ACCEPTED),
+        (0.0, 2.5, kinds.POSITION_ONLY),
+        (3.0, 0.0, kinds.ROTATION_ONLY),
+        (3.0, 2.5, kinds.REJECTED),
     ],
 )
 def test_gate_takes_position_and_rotation_apart(shift, turn, verdict):
@@ -195,10 +194,10 @@ def test_gate_takes_position_and_rotation_apart(shift, turn, verdict):
         1e-4 * np.eye(6), (0,),
     )  # fmt: skip
     before, P_before = x.copy(), P.copy()
-    came, nis = correct_pose(x, P, W, pose_row(m)[2:], (1.0, 0.0, 0.0), 1.0, np.empty(6))
+    came, nis = pose.update(x, P, W, pose.pack(m)[2:], TRUST, np.empty(6), PLAIN)
     assert came == verdict
-    assert (nis > 22.0) == (verdict != at.ACCEPTED)
-    if verdict == at.REJECTED:
+    assert (nis > 22.0) == (verdict != kinds.ACCEPTED)
+    if verdict == kinds.REJECTED:
         assert np.array_equal(x, before)
         assert np.array_equal(P, P_before)
 
@@ -206,11 +205,11 @@ def test_gate_takes_position_and_rotation_apart(shift, turn, verdict):
 def test_singular_or_broken_covariance_changes_nothing():
     x, _ = a_state(4)
     P, before = 1e-4 * np.eye(21), x.copy()
-    z = pose_row(measured(x, np.random.default_rng(0)))[2:]
-    for broken in (np.zeros(36), np.full(36, np.nan), -np.eye(6).ravel()):
-        z[7:43] = broken
-        verdict, _ = correct_pose(x, P, W, z, (1.0, 0.0, 0.0), 1.0, np.empty(6))
-        assert verdict == at.SINGULAR
+    z = pose.pack(measured(x, np.random.default_rng(0)))[2:]
+    for broken in (np.zeros((6, 6)), np.full((6, 6), np.nan), -np.eye(6)):
+        pose.unpack(z).cov[:] = broken
+        verdict, _ = pose.update(x, P, W, z, TRUST, np.empty(6), PLAIN)
+        assert verdict == kinds.SINGULAR
         assert np.array_equal(x, before)
 
 
@@ -218,11 +217,13 @@ def test_still_rig_and_clock_pull_their_states():
     x, _ = a_state(6)
     P = 0.01 * np.eye(21)
     x[at.X_V : at.X_V + 3] = [0.05, -0.05, 0.02]
-    assert correct_still(x, P, 1e-6, 1.0)[0] == at.ACCEPTED
+    z = constraints.still(1e-3)[kinds.HEAD :]
+    assert constraints.update_still(x, P, z, 1.0, PLAIN)[0] == kinds.ACCEPTED
     assert np.abs(x[at.X_V : at.X_V + 3]).max() < 1e-4
-    assert correct_clock(x, P, 0.004, 1e-10)[0] == at.ACCEPTED
+    z = constraints.clock(0.004, 1e-5)[kinds.HEAD :]
+    assert constraints.update_clock(x, P, z, PLAIN)[0] == kinds.ACCEPTED
     assert x[at.X_TD] == pytest.approx(0.004, abs=1e-6)
     R_file = geo.matrix_from_quat(x[at.X_QIC : at.X_QIC + 4]) @ geo.exp(np.array([0.01, 0.02, 0.0]))
-    z = np.append(geo.quat_from_matrix(R_file), 1e-10)
-    assert correct_rig(x, P, z)[0] == at.ACCEPTED
+    z = constraints.rotation(geo.quat_from_matrix(R_file), 1e-5)[2:]
+    assert constraints.update_rotation(x, P, z, PLAIN)[0] == kinds.ACCEPTED
     assert geo.angle(R_file.T @ geo.matrix_from_quat(x[at.X_QIC : at.X_QIC + 4])) < 1e-5

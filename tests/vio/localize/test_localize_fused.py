@@ -12,7 +12,7 @@ from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame, PosePrior
 from vio.config.filter import VioConfig
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.localize.fused import VioArm, VoKfArm
 from vio.records import ImuSample
 from vio.sim.sensors.pose_noise import PoseNoise
@@ -21,7 +21,7 @@ from vio.sim.sensors.simple_imu import PIXHAWK
 
 def test_vio_arm_answers_every_sample_once_started():
     flown = fly("T3", 0, CLEAN, seconds=5.0)
-    arm = VioArm(Estimator(VioConfig(), CAMERA, PIXHAWK))
+    arm = VioArm(ErrorStateFilter(VioConfig(), CAMERA, PIXHAWK))
     outputs, poses = [], list(flown.poses)
     for sample in flown.imu:
         late = ImuSample(sample.t_ns, sample.gyro_I, sample.accel_I, sample.t_ns + 2_000_000)

@@ -162,10 +162,10 @@ def test_after_the_warm_up_a_run_compiles_nothing(tmp_path):
     short = ["flight.name=waypoints", way, "flight.takeoff=false", "stream.rate_hz=10"]
     words = [w for s in short for w in ("--set", s)]
     assert tagvio("simulate", "t1_qr", "--out", seen, *words).code == 0
-    here = str(Path(__file__).parents[1])
+    here = Path(__file__).parent
     code = f"""
 import sys
-sys.path[:0] = [{here!r}, {str(Path(here).parent)!r}]
+sys.path[:0] = {[str(here), str(here.parent), str(here.parents[1])]!r}
 import vio.offline.replay as replay
 from cli_calls import tagvio
 from test_localize_run import compiled_signatures

@@ -22,7 +22,7 @@ from numpy.testing import assert_allclose
 
 from tagvo import geometry as geo
 from vio.config.filter import VioConfig
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.sim.sensors.pose_noise import PoseNoise
 from vio.sim.sensors.simple_imu import PIXHAWK
 from vio.sim.world.trajectory import circle
@@ -193,7 +193,7 @@ def test_poses_that_agree_with_nothing_never_start():
 
 
 def replay_states(flown):
-    estimator = Estimator(VioConfig(), CAMERA, PIXHAWK)
+    estimator = ErrorStateFilter(VioConfig(), CAMERA, PIXHAWK)
     states = set()
     for what in events(flown):
         feed(estimator, what)
@@ -269,7 +269,7 @@ def test_a_stalled_imu_is_said():
     flown = fly("T3", 17, NOISY, seconds=8.0)
     before = [s for s in flown.imu if s.t_ns < 6_000_000_000]
     said = []
-    estimator = Estimator(VioConfig(), CAMERA, PIXHAWK)
+    estimator = ErrorStateFilter(VioConfig(), CAMERA, PIXHAWK)
     stalled = replace(flown, imu=before)
     for what in events(stalled):
         feed(estimator, what)

@@ -13,7 +13,7 @@ from vio.config.filter import VioConfig
 from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError, LogError
 from vio.evaluate.compare import comparison
-from vio.filter.eskf import Estimator
+from vio.filter.eskf import ErrorStateFilter
 from vio.localize.fused import VioArm
 from vio.sim.sensors.simple_imu import PIXHAWK
 from vio.sitl.ardupilot import ArduPilotEnd
@@ -193,7 +193,7 @@ def log(tmp_path_factory):
 
 
 def fed(log):
-    core = Estimator(VioConfig(), CAMERA, PIXHAWK, log.tag_map)
+    core = ErrorStateFilter(VioConfig(), CAMERA, PIXHAWK, log.tag_map)
     vo = TagVO(log.camera, log.tag_map, TagvoConfig())
     return LogVision(log, vo, VioArm(core, vo), lambda: None)
 
