@@ -67,8 +67,11 @@ def replay_into_sitl(
     frames: dict[str, int | None] = {"total": vision.frames, "with_pose": vision.with_pose}
     frames["fused"] = sum(core.counters.get(name, 0) for name in flt.TAKEN)
     frames["rejected"] = sum(core.counters.get(name, 0) for name in flt.REFUSED)
-    _report(log, played, vio, choice.out, frames)
+    end_ns = int(vio.known_ns[-1]) if interrupted and len(vio) else None
+    _report(log, played, vio, choice.out, frames, end_ns)
     if interrupted:
+        text = f"stopped by Ctrl-C after {vision.frames} of {log.frame_count} frames"
+        typer.echo(text, err=True)
         raise typer.Exit(130)
 
 
@@ -87,8 +90,10 @@ def _end(autopilot: Autopilot, rng: "Generator", port: int | None) -> "SitlEnd":
 
 
 def _report(
-    log: "FlightLog", played: "Played", vio: "Trajectory", out: Path, frames: dict[str, int | None]
-) -> None:
+    log: "FlightLog", played: "Played", vio: "Trajectory", out: Path,
+    frames: dict[str, int | None], end_ns: int | None,
+) -> None:  # fmt: skip
+    """Say what came out; end_ns: the last moment that was played, None: the log's end."""
     from rich.console import Console
 
     from vio.evaluate.compare import comparison, table, write_json
@@ -104,7 +109,7 @@ def _report(
                    " `tagvio doctor` says what is wrong", err=True)  # fmt: skip
     if log.truth is None or not judged:
         return
-    content = comparison(judged, log.truth, frames=frames, timing_ms={})
+    content = comparison(judged, log.truth, t_end_ns=end_ns, frames=frames, timing_ms={})
     write_json(out / "comparison.json", content)
     Console().print(table(content))
     typer.echo(str(out / "comparison.json"))
