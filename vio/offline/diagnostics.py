@@ -38,28 +38,59 @@ def strange_tags(log: FlightLog, result: RunResult) -> list[str]:
     return [f"{log.path}: {text}" for text in said]
 
 
-def filter_doubts(vio: VioArm, result: RunResult, where: str) -> list[str]:
-    """What the filter's own counts say against it: it never started, or believed few poses."""
+_LEAST_TRACKING = 0.9  # while frames give poses; 14 healthy logs: 1.000, wrong set-ups 0 to 0.97
+_MOST_RESTARTS = 1  # the healthy ones: 0, wrong scale, focal length, lens or sign: 2 to 63
+_A_RESTART_S = 60.0  # more rarely, they may be faults of hours of flight
+
+
+def filter_doubts(vio: VioArm, log: FlightLog, result: RunResult, *, explained: bool) -> list[str]:
+    """What the filter's own counts say against it: it never started, starts anew, or believes few.
+
+    explained: whether the set-up check has named a mistake that may be the cause.
+    """
+    where = str(log.path)
     if not result.outputs[vio.name]:
         why = ", ".join(vio.estimator.health().reasons)
         return [f"{where}: the filter never started ({why}); vio.tum is empty"]
     noise = vio.estimator.noise_words
     said = [] if noise is None else [f"{where}: {noise}"]
-    fused, rejected = verdicts(vio, flt.TAKEN), verdicts(vio, REJECTED)
+    signs = _bad_signs(vio, log, result)
+    if not signs:
+        return said
+    cause = "the set-up check names a cause"
+    if not explained:
+        cause = (
+            "IMU, camera and map contradict one another: are the IMU's units (rad/s, m/s^2), axes,"
+            " signs and clock, T_cam_imu, the camera's intrinsics and the map's metres right?"
+        )
+    return [*said, f"{where}: the filter {'; it '.join(signs)}: vio is not to be trusted; {cause}"]
+
+
+def _bad_signs(vio: VioArm, log: FlightLog, result: RunResult) -> list[str]:
+    """What tells that a filter is no use, each as what it did."""
+    signs = []
+    restarts = vio.estimator.counters.get("restarts", 0)
+    seconds = 1e-9 * ((result.reached_ns or log.t0_ns) - log.t0_ns)
+    if restarts > _MOST_RESTARTS and restarts * _A_RESTART_S > seconds:
+        signs.append(f"started anew {restarts} times in {seconds:.0f} s")
+    seeing = sum(vio.seeing.values())
+    share = vio.seeing["TRACKING"] / max(seeing, 1)
+    if seeing and share < _LEAST_TRACKING:
+        why = ", ".join(f"{name} in {n}" for name, n in vio.doubts.most_common(3))
+        signs.append(
+            f"was TRACKING in {100.0 * share:.0f} % of the {seeing} samples while frames gave poses"
+            + (f" ({why})" if why else "")
+        )
     bad = sum(vio.states[state] for state in ("LOST", "RELOCATING"))
     if bad > 0.5 * sum(vio.states.values()):
         why = ", ".join(f"{name} in {n}" for name, n in vio.doubts.most_common(3))
-        said.append(
-            f"{where}: the filter was LOST or RELOCATING in {bad} of {sum(vio.states.values())}"
-            f" samples ({why}): vio is not to be trusted"
+        signs.append(
+            f"was LOST or RELOCATING in {bad} of {sum(vio.states.values())} samples ({why})"
         )
-    if 2 * rejected <= fused:
-        return said
-    return [
-        *said,
-        f"{where}: the filter rejected {rejected} poses and took {fused}: vio is not to be trusted;"
-        " are the IMU's units (rad/s, m/s^2), axes, clock and T_cam_imu right?",
-    ]
+    fused, rejected = verdicts(vio, flt.TAKEN), verdicts(vio, REJECTED)
+    if 2 * rejected > fused:
+        signs.append(f"rejected {rejected} poses and took {fused}")
+    return signs
 
 
 def verdicts(vio: VioArm, names: tuple[str, ...]) -> int:

@@ -106,7 +106,8 @@ def replay_log(
         if shown is not None:
             shown.close()
     setup.settle()
-    warnings += [] if vio is None else filter_doubts(vio, result, str(log.path))
+    if vio is not None:
+        warnings += filter_doubts(vio, log, result, explained=bool(setup.findings))
     if choice.only_tags is None:
         warnings += strange_tags(log, result)
     said = [*log.warnings, *warnings]
