@@ -36,6 +36,7 @@ def replay_into_sitl(
     import numpy as np
 
     from tagvo.pipeline import TagVO
+    from vio.commands import options as opt
     from vio.filter import eskf as flt
     from vio.interrupt import gently
     from vio.localize.fused import VioArm
@@ -70,9 +71,7 @@ def replay_into_sitl(
     end_ns = int(vio.known_ns[-1]) if interrupted and len(vio) else None
     _report(log, played, vio, choice.out, frames, end_ns)
     if interrupted:
-        text = f"stopped by Ctrl-C after {vision.frames} of {log.frame_count} frames"
-        typer.echo(text, err=True)
-        raise typer.Exit(130)
+        opt.exit_stopped(vision.frames, log.frame_count)
 
 
 def _with(choice: Choice, assignments: tuple[str, ...]) -> Choice:

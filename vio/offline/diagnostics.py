@@ -12,9 +12,17 @@ from vio.sources.flight_log.tally import Tally
 REJECTED = (*flt.REFUSED, "pose_not_finite")
 
 
-def stopped(log: FlightLog, result: RunResult, *, by_setup: bool) -> list[str]:
-    """How far a run came that did not reach the end of its log, and what stopped it."""
-    if not (result.interrupted or by_setup) or result.reached_ns is None:
+def run_warnings(
+    log: FlightLog, result: RunResult, vio: VioArm | None, *, explained: bool, all_tags: bool
+) -> list[str]:
+    """All that a run says against itself; all_tags: none of the map was left out."""
+    said = [] if vio is None else filter_doubts(vio, log, result, explained=explained)
+    return [*said, *(strange_tags(log, result) if all_tags else [])]
+
+
+def stopped(log: FlightLog, result: RunResult, *, early: bool) -> list[str]:
+    """How far a run came that did not reach the end of its log (early), and what stopped it."""
+    if not (result.interrupted or early) or result.reached_ns is None:
         return []
     done_s, whole_s = (1e-9 * (t_ns - log.t0_ns) for t_ns in (result.reached_ns, log.end_ns))
     if result.interrupted:

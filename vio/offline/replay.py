@@ -18,7 +18,7 @@ from vio.localize.run import RunResult, Sink, run
 from vio.localize.stopwatch import Stopwatch
 from vio.localize.warmup import warm_all
 from vio.offline.choice import Choice, open_all
-from vio.offline.diagnostics import REJECTED, filter_doubts, stopped, strange_tags, verdicts
+from vio.offline.diagnostics import REJECTED, run_warnings, stopped, verdicts
 from vio.setup_check.watch import SetupWatch
 from vio.sources.flight_log.log import FlightLog
 from vio.sources.imu_check import check_imu, check_stamps
@@ -106,15 +106,13 @@ def replay_log(
         if shown is not None:
             shown.close()
     setup.settle()
-    if vio is not None:
-        warnings += filter_doubts(vio, log, result, explained=bool(setup.findings))
-    if choice.only_tags is None:
-        warnings += strange_tags(log, result)
-    said = [*log.warnings, *warnings]
-    said += stopped(log, result, by_setup=ended and not result.interrupted)
     if log.frame_count and not result.frames and not result.interrupted and not setup.certain:
         raise LogError(f"{log.path}: not one of {log.frame_count} images could be read"
                        f" ({'; '.join(log.warnings)})")  # fmt: skip
+    warnings += run_warnings(
+        log, result, vio, explained=bool(setup.findings), all_tags=choice.only_tags is None
+    )
+    said = [*log.warnings, *warnings, *stopped(log, result, early=ended)]
     refused = setup.certain and not force
     return Replayed(
         log, config, result, watch.summary(), vio, said, setup.findings, refused, book, diary
