@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.errors import MapError, choose_one_of, shown
+from tagvo.errors import MapError, choose_one_of, shown, some_of
 from tagvo.maps.overlap import Squares, pairs_in_one_plane, penetration
 from tagvo.tags.families import FAMILIES, Family, family_named
 from tagvo.tags.tag_map import SIZE_KINDS, TagMap, map_from_dict, position, side, unit_quaternion
@@ -24,6 +24,7 @@ _LARGEST_ID = 1 << 31  # of any family; larger ones are errors and no numpy inte
 _MOST_LISTED = 12  # places or sizes named in one finding
 _NUMBERS = str.maketrans("", "", "0123456789.,+-e[]()")  # what findings of a kind differ in
 _LINES = 20  # of findings for a person
+_LARGE_M = 2.0  # the largest sheets that printers of plans take are 1.5 m wide
 _TOUCH_M = 1e-6  # borders that overlap by less touch
 _SLACK = 0.01  # share of a side by which margins may overlap on paper: surveys are not exact
 _FACTOR_SLACK = 0.01  # how near a ratio of sizes must come to total/border to look like a mix-up
@@ -86,6 +87,7 @@ def check_map_data(data: dict[str, Any], where: str) -> list[Finding]:
     if not any(f.severity == "error" for f in found):
         found += _what_load_says(data, where)
     sane = _sane_tags(entries)
+    found += _large_tags(sane, where)
     if sane and family is not None:
         with np.errstate(over="ignore", invalid="ignore"):  # coordinates may be absurd
             found += _overlaps(_squares(data, sane, family), where)
@@ -186,6 +188,14 @@ def _sane_tags(entries: list[Any]) -> list[dict[str, Any]]:
             return False
 
     return [tag for tag in entries if sane(tag)]
+
+
+def _large_tags(tags: list[dict[str, Any]], where: str) -> Iterator[Finding]:
+    large = {tag["id"]: tag["size"] for tag in tags if tag["size"] > _LARGE_M}
+    if large:
+        listed = some_of(f"{tag_id} ({size:g} m)" for tag_id, size in large.items())
+        text = f"{where}: tags {listed} are larger than {_LARGE_M:g} m: are sizes in metres?"
+        yield Finding("warning", tuple(large), text)
 
 
 def _ratio(data: dict[str, Any], family: Family) -> float:

@@ -66,6 +66,7 @@ def command(
         write_json(out, {"scenes": results, "left_out": missing, "interrupted": interrupted})
         typer.echo(str(out))
     if interrupted:
+        typer.echo(f"stopped by Ctrl-C in scene {len(results)} of {len(cases)}", err=True)
         raise typer.Exit(130)
 
 

@@ -11,7 +11,6 @@ from vio.offline.choice import Choice
 if TYPE_CHECKING:
     from vio.evaluate.records import Window
     from vio.offline.replay import Replayed
-    from vio.sources.flight_log.log import FlightLog
 
 Align = Literal["none", "yaw", "se3"]
 
@@ -55,19 +54,33 @@ def command(
     opt.echo_setup(done.setup, done.refused)
     if done.refused:
         write_json(out / "run.json", run_summary(done))
+        for text in done.warnings:
+            typer.echo(f"warning: {text}", err=True)
         raise typer.Exit(1)
     judge(done, out, skip, align, f"tagvio compare {done.log.path.name}", png=png)
     if done.result.interrupted:
         raise typer.Exit(130)
 
 
-def _window(log: "FlightLog", skip: float) -> "Window":
-    """From `skip` seconds to the log's end, where a camera's clock is moved to the IMU's."""
+def _window(done: "Replayed", skip: float) -> "Window":
+    """From `skip` seconds to where the run ended, where a camera's clock is moved to the IMU's.
+
+    A run that was stopped is judged up to the last event it took: it knew nothing of what follows.
+    """
+    from vio.errors import EvaluationError
     from vio.evaluate.records import Window
 
+    log, reached_ns = done.log, done.result.reached_ns
     shift_ns = round(log.camera.timeshift_s * 1e9)
     start = log.t0_ns if log.imu is not None else log.t0_ns + shift_ns
-    return Window(start + round(skip * 1e9), max(log.end_ns, log.end_ns + shift_ns))
+    end = max(log.end_ns, log.end_ns + shift_ns)
+    if start + round(skip * 1e9) > end:
+        raise EvaluationError(
+            f"--skip {skip:g}: {log.path} lasts {1e-9 * (end - start):.1f} s; fewer are needed"
+        )
+    if done.result.interrupted and reached_ns is not None:
+        end = min(end, reached_ns)
+    return Window(start + round(skip * 1e9), end)
 
 
 def judge(
@@ -89,9 +102,11 @@ def judge(
     log, result = done.log, done.result
     assert log.truth is not None
     trajectories = [trajectory(name, outputs) for name, outputs in result.outputs.items()]
-    window, truth = _window(log, skip), clean_truth(log.truth)
+    window, truth = _window(done, skip), clean_truth(log.truth)
     judged = [judge_one(t, truth, align, window) for t in trajectories]
     content = comparison_of(judged, align, frame_counts(done), done.timing_ms)
+    if result.interrupted:
+        content["interrupted"] = True
     for one in trajectories:
         write_tum(out / f"{one.name}.tum", *tum_rows(one))
     write_json(out / "comparison.json", content)

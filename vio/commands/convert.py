@@ -120,7 +120,7 @@ def command(
             said = write_flight_log(out, found, rig, step, stop, replace=replace)
     _echo_written(out, said, tally)
     if stop():
-        raise typer.Exit(130)
+        opt.exit_stopped(said.frames, total)
     if total and not said.frames and kind != ".tum":
         raise LogError(f"{out}: not one of {total} images could be read; {said.text}")
 

@@ -85,11 +85,13 @@ def _fly(log: Path, quick: bool) -> None:
         for sample in demo.imu_samples(flight, PIXHAWK, quick):
             writer.imu(sample)
         with progress(len(frame_ns), "rendering") as step, gently() as stop:
-            for frame in demo.frames(flight, tag_map, camera, frame_ns, _WORKERS):
+            drawn = demo.frames(flight, tag_map, camera, frame_ns, _WORKERS)
+            for done, frame in enumerate(drawn, 1):
                 writer.frame(frame)
                 step()
                 if stop():
-                    typer.echo(f"interrupted; {log} holds the frames so far", err=True)
+                    text = f"stopped by Ctrl-C after {done} of {len(frame_ns)} frames"
+                    typer.echo(f"{text}; {log} holds them", err=True)
                     raise typer.Exit(130)
     typer.echo(f"{log}: {len(frame_ns)} frames of {t[-1] - t[0]:.0f} s", err=True)
 

@@ -7,6 +7,7 @@ import typer
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+    from typing import NoReturn
 
     from vio.setup_check.findings import Finding
 
@@ -51,6 +52,12 @@ Force = Annotated[
 
 
 ReplaceLog = Annotated[bool, typer.Option("--replace", help="Replace a log that stands at --out.")]
+
+
+def exit_stopped(done: int, total: int) -> "NoReturn":
+    """Say how far work came that Ctrl-C has stopped, and end the command."""
+    typer.echo(f"stopped by Ctrl-C after {done} of {total} frames", err=True)
+    raise typer.Exit(130)
 
 
 def echo_setup(findings: "Sequence[Finding]", refused: bool) -> None:

@@ -71,7 +71,7 @@ def command(
     if done is not None:
         _report(done)
     if interrupted:
-        raise typer.Exit(130)
+        opt.exit_stopped(0 if done is None else done.frames, opened.frame_count)
 
 
 def _into_sitl(

@@ -142,4 +142,6 @@ def _say(claims: "list[Ordering]", interrupted: bool, done: int, total: int) -> 
     known = [c.held for c in claims if c.held is not None]
     typer.echo(f"{sum(known)} of {len(known)} orderings held")
     if interrupted:
-        typer.echo(f"interrupted; {done} of {total} flights, the same call goes on", err=True)
+        typer.echo(
+            f"stopped by Ctrl-C after {done} of {total} flights; the same call goes on", err=True
+        )

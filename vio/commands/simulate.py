@@ -89,7 +89,7 @@ def command(
     done = _write(out, recording, chosen, scenario_yaml(chosen, head), corners, workers, replace)
     total = len(recording.frames)
     if done < total:
-        typer.echo(f"interrupted; {out} holds the first {done} of {total} frames", err=True)
+        typer.echo(f"stopped by Ctrl-C after {done} of {total} frames; {out} holds them", err=True)
         raise typer.Exit(130)
     typer.echo(f"{out}: {total} frames, {len(recording.imu)} IMU samples")
 

@@ -36,6 +36,7 @@ def replay_into_sitl(
     import numpy as np
 
     from tagvo.pipeline import TagVO
+    from vio.commands import options as opt
     from vio.filter import eskf as flt
     from vio.filter.noise_model import USUAL_NOISE
     from vio.interrupt import gently
@@ -68,9 +69,10 @@ def replay_into_sitl(
     frames: dict[str, int | None] = {"total": vision.frames, "with_pose": vision.with_pose}
     frames["fused"] = sum(core.counters.get(name, 0) for name in flt.TAKEN)
     frames["rejected"] = sum(core.counters.get(name, 0) for name in flt.REFUSED)
-    _report(log, played, vio, choice.out, frames)
+    end_ns = int(vio.known_ns[-1]) if interrupted and len(vio) else None
+    _report(log, played, vio, choice.out, frames, end_ns)
     if interrupted:
-        raise typer.Exit(130)
+        opt.exit_stopped(vision.frames, log.frame_count)
 
 
 def _with(choice: Choice, assignments: tuple[str, ...]) -> Choice:
@@ -88,8 +90,10 @@ def _end(autopilot: Autopilot, rng: "Generator", port: int | None) -> "SitlEnd":
 
 
 def _report(
-    log: "FlightLog", played: "Played", vio: "Trajectory", out: Path, frames: dict[str, int | None]
-) -> None:
+    log: "FlightLog", played: "Played", vio: "Trajectory", out: Path,
+    frames: dict[str, int | None], end_ns: int | None,
+) -> None:  # fmt: skip
+    """Say what came out; end_ns: the last moment that was played, None: the log's end."""
     from rich.console import Console
 
     from vio.evaluate.compare import comparison, table, write_json
@@ -105,7 +109,7 @@ def _report(
                    " `tagvio doctor` says what is wrong", err=True)  # fmt: skip
     if log.truth is None or not judged:
         return
-    content = comparison(judged, log.truth, frames=frames, timing_ms={})
+    content = comparison(judged, log.truth, t_end_ns=end_ns, frames=frames, timing_ms={})
     write_json(out / "comparison.json", content)
     Console().print(table(content))
     typer.echo(str(out / "comparison.json"))

@@ -14,11 +14,14 @@ from vio.filter.health import State
 from vio.localize.baselines import Output, VoArm
 from vio.records import ImuSample, NavState
 
+_SEEING_NS = 200_000_000  # two frames at 10 Hz: what comes more slowly is not steadily seen
+
 
 class VioArm:
     """`vio`: the filter; an output at every IMU sample once started, valid at its stamp.
 
-    states: IMU samples spent in each state of health; doubts: in LOST and RELOCATING, by reason.
+    states: IMU samples spent in each state of health; seeing: of those once it had started, the
+    ones up to 0.2 s after a frame with a pose; doubts: in LOST and RELOCATING, by reason.
     """
 
     name = "vio"
@@ -32,7 +35,10 @@ class VioArm:
         """
         self.estimator = estimator
         self.states: Counter[str] = Counter()
+        self.seeing: Counter[str] = Counter()
         self.doubts: Counter[str] = Counter()
+        self._pose_ns: int | None = None  # when the last pose was known
+        self._started = False
         self._corners = corners
         self._second_look = None
         if vo is not None and vo.config.ambiguity == "consistent":  # the paper's way stays its own
@@ -44,6 +50,9 @@ class VioArm:
         nav = self.estimator.imu(sample)
         health = self.estimator.health()
         self.states[health.state.value] += 1
+        self._started = self._started or nav is not None
+        if self._started and self._pose_ns is not None:
+            self.seeing[health.state.value] += sample.arrival_ns - self._pose_ns < _SEEING_NS
         if health.state in (State.LOST, State.RELOCATING):
             self.doubts.update(health.reasons)
         return None if nav is None else _output(nav, sample.arrival_ns)
@@ -67,6 +76,8 @@ class VioArm:
             self.estimator.pose(measured)
         nav = self.estimator.nav()
         known_ns = frame.t_ns if frame.arrival_ns is None else frame.arrival_ns
+        if measured is not None:
+            self._pose_ns = known_ns
         return None if nav is None else _output(nav, known_ns)
 
     def _resolved(

@@ -35,7 +35,8 @@ class RunResult:
 
     outputs by estimator; frames, with_pose, imu: counts; reasons: frames without a pose by cause;
     counters: dropped detections and flags of poses by cause; tags_t_ns, tags_count: tags used in
-    each frame; unmapped: tags seen and of no use; interrupted: stopped by the user; keep: gather
+    each frame; unmapped: tags seen and of no use; interrupted: stopped by the user; reached_ns:
+    latest time at which an event that was processed was known, None before the first; keep: gather
     outputs and tags used, false: counts alone, so that a run may last for ever.
     """
 
@@ -49,6 +50,7 @@ class RunResult:
     tags_count: list[int] = field(default_factory=list)
     unmapped: UnmappedTags = field(default_factory=UnmappedTags)
     interrupted: bool = False
+    reached_ns: int | None = None
     keep: bool = True
 
 
@@ -79,6 +81,7 @@ def run(
                 break
             for sink in sinks:
                 sink.event(event)
+            _reach(result, event)
             if isinstance(event, ImuSample):
                 result.imu += 1
                 for estimator in estimators:
@@ -102,6 +105,15 @@ def run(
     except KeyboardInterrupt:
         result.interrupted = True
     return result
+
+
+def _reach(result: RunResult, event: Event) -> None:
+    known_ns = event.arrival_ns
+    if known_ns is None:
+        assert isinstance(event, Frame)
+        known_ns = event.t_ns
+    if result.reached_ns is None or known_ns > result.reached_ns:
+        result.reached_ns = known_ns
 
 
 def _keep(

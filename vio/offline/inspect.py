@@ -38,7 +38,11 @@ def inspected(
     extra = Extra(
         title, window, t_zero_ns=log.t0_ns, tags_t_ns=counts[0], tags_count=counts[1],
         notes=(*done.warnings, *suspects), judged=tuple(judged),
-        evaluation={"estimators": evaluation, "suspect_tags": _listed(tags, log)},
+        evaluation={
+            "estimators": evaluation,
+            "suspect_tags": _listed(tags, log),
+            "interrupted": result.interrupted,
+        },
         diary=None if done.diary is None else done.diary.diary(),
         sightings=seen, tags=tags,
         moments=() if done.book is None else tuple(_worst(judged, done.book, log)),

@@ -2,7 +2,7 @@
 
 import logging
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,10 +19,9 @@ from vio.localize.run import RunResult, Sink, run
 from vio.localize.stopwatch import Stopwatch
 from vio.localize.warmup import warm_all
 from vio.offline.choice import Choice, open_all
-from vio.setup_check.unmapped_tags import other_family
+from vio.offline.diagnostics import REJECTED, run_warnings, stopped, verdicts
 from vio.setup_check.watch import SetupWatch
 from vio.sources.flight_log.log import FlightLog
-from vio.sources.flight_log.tally import Tally
 from vio.sources.imu_check import check_imu, check_stamps
 from vio.terminal import progress, waiting
 
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
 
 
 LOG = logging.getLogger("vio.commands")
-_REJECTED = (*flt.REFUSED, "pose_not_finite")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,18 +101,19 @@ def replay_log(
         with progress(log.frame_count, "frames") as step, gently() as stop:
             ends = stop if force else lambda: stop() or setup.certain
             result = run(log.events(), vo, estimators, watch, step, prior, ends, sinks, look=looks)
-            result.interrupted = stop() or (result.interrupted and (force or not setup.certain))
+            ended = result.interrupted
+            result.interrupted = stop() or (ended and (force or not setup.certain))
     finally:
         if shown is not None:
             shown.close()
     setup.settle()
-    warnings += [] if vio is None else _doubts(vio, result, str(log.path))
-    if choice.only_tags is None:
-        warnings += _strange_tags(log, result)
-    said = [*log.warnings, *warnings]
     if log.frame_count and not result.frames and not result.interrupted and not setup.certain:
         raise LogError(f"{log.path}: not one of {log.frame_count} images could be read"
                        f" ({'; '.join(log.warnings)})")  # fmt: skip
+    warnings += run_warnings(
+        log, result, vio, explained=bool(setup.findings), all_tags=choice.only_tags is None
+    )
+    said = [*log.warnings, *warnings, *stopped(log, result, early=ended)]
     refused = setup.certain and not force
     return Replayed(
         log, config, result, watch.summary(), vio, said, setup.findings, refused, book, diary
@@ -128,22 +127,6 @@ def _setup_watch(log: FlightLog, vo_only: bool) -> SetupWatch:
     unit = check_stamps(stamps, log.frames.t_ns, str(log.path))
     watch.stated = [] if unit is None else [unit]
     return watch
-
-
-_TRIED_IMAGES = 5  # of a log without any tag: one look with each other family
-
-
-def _strange_tags(log: FlightLog, result: RunResult) -> list[str]:
-    """Tags that the map does not know, and the family that it should have named."""
-    said = result.unmapped.words(log.tag_map, result.with_pose)
-    if result.frames and not result.unmapped.found and not result.interrupted:
-        rows = range(0, log.frame_count, max(1, log.frame_count // _TRIED_IMAGES))
-        again = replace(log.frames, tally=Tally())  # what it cannot read is counted already
-        frames = (again.frame(row) for row in rows[:_TRIED_IMAGES])
-        family = log.tag_map.family.name
-        other = other_family((f.image for f in frames if f is not None), family)
-        said += [] if other is None else [other]
-    return [f"{log.path}: {text}" for text in said]
 
 
 def _no_look(trace: "Trace") -> None:
@@ -195,35 +178,6 @@ def _inspectors(
     return book, diary, look
 
 
-def _doubts(vio: VioArm, result: RunResult, where: str) -> list[str]:
-    """What the filter's own counts say against it: it never started, or believed few poses."""
-    if not result.outputs[vio.name]:
-        why = ", ".join(vio.estimator.health().reasons)
-        return [f"{where}: the filter never started ({why}); vio.tum is empty"]
-    noise = vio.estimator.noise_words
-    said = [] if noise is None else [f"{where}: {noise}"]
-    fused, rejected = _verdicts(vio, flt.TAKEN), _verdicts(vio, _REJECTED)
-    bad = sum(vio.states[state] for state in ("LOST", "RELOCATING"))
-    if bad > 0.5 * sum(vio.states.values()):
-        why = ", ".join(f"{name} in {n}" for name, n in vio.doubts.most_common(3))
-        said.append(
-            f"{where}: the filter was LOST or RELOCATING in {bad} of {sum(vio.states.values())}"
-            f" samples ({why}): vio is not to be trusted"
-        )
-    if 2 * rejected <= fused:
-        return said
-    return [
-        *said,
-        f"{where}: the filter rejected {rejected} poses and took {fused}: vio is not to be trusted;"
-        " are the IMU's units (rad/s, m/s^2), axes, clock and T_cam_imu right?",
-    ]
-
-
-def _verdicts(vio: VioArm, names: tuple[str, ...]) -> int:
-    counters = vio.estimator.counters
-    return sum(counters.get(name, 0) for name in names)
-
-
 def _no_prior(t_ns: int) -> None:
     return None
 
@@ -260,8 +214,8 @@ def frame_counts(done: Replayed) -> dict[str, int | None]:
         "rejected": None,
     }
     if done.vio is not None:
-        counts["fused"] = _verdicts(done.vio, flt.TAKEN)
-        counts["rejected"] = _verdicts(done.vio, _REJECTED)
+        counts["fused"] = verdicts(done.vio, flt.TAKEN)
+        counts["rejected"] = verdicts(done.vio, REJECTED)
     return counts
 
 
@@ -274,7 +228,7 @@ def run_summary(done: Replayed) -> dict[str, Any]:
     result, filtered = done.result, Counter[str]()
     if done.vio is not None:
         filtered = Counter(done.vio.estimator.counters)
-    verdicts = {v: filtered.pop(v) for v in _REJECTED if v in filtered}
+    verdicts = {v: filtered.pop(v) for v in REJECTED if v in filtered}
     return {
         "frames": frame_counts(done),
         "imu": {"total": result.imu, **{k: v for k, v in filtered.items() if k[:4] == "imu_"}},

@@ -317,7 +317,7 @@ def _turned(views: Sequence[_View], whole: _View, turns: Turns, rig: StatedRig) 
     if whole.axes is not None and all(
         v.axes is not None and np.array_equal(v.axes, whole.axes) for v in views
     ):
-        return [_exchanged(whole.axes, turns, rig)]
+        return [_exchanged(whole.axes, whole.Q, turns, rig)]
     if whole.mirrored and all(v.mirrored for v in views):
         text = "the gyro turns as a mirror image of the camera: one axis of it, or of T_cam_imu"
         return [Finding("mirrored", text + ", has the wrong sign", -1.0, certain=True)]
@@ -330,14 +330,28 @@ def _turned(views: Sequence[_View], whole: _View, turns: Turns, rig: StatedRig) 
         return []
     axis = ", ".join(f"{x:.1f}" for x in whole.turn / angle)
     text = f"T_cam_imu is turned by {np.degrees(angle):.1f} deg about ({axis}) of the IMU"
+    text += _if_inverse(whole.Q, rig)
     return [
         Finding("cam_imu_rotation", text, float(np.degrees(angle)), certain=angle > _CERTAIN_RAD)
     ]
 
 
-def _exchanged(S: Array, turns: Turns, rig: StatedRig) -> Finding:
-    """An exchange of axes, S (3, 3); about z, force tells T_cam_imu's from the IMU's no better."""
+def _if_inverse(Q: Array, rig: StatedRig) -> str:
+    """A word where the rotation found, Q (3, 3), is the inverse of the one in the files."""
+    is_it = float(geo.angle(rig.R_CI @ Q)) < _NAMED_RAD
+    return ": this is T_imu_cam, the inverse" if is_it else ""
+
+
+def _exchanged(S: Array, Q: Array, turns: Turns, rig: StatedRig) -> Finding:
+    """An exchange of axes, S (3, 3), with Q (3, 3) the camera's turn of the IMU's that was found.
+
+    About z, force tells T_cam_imu's from the IMU's no better.
+    """
     angle = float(np.degrees(geo.angle(S))) if np.linalg.det(S) > 0.0 else -1.0
+    inverse = _if_inverse(Q, rig)
+    if inverse and np.linalg.det(S) > 0.0:
+        text = f"T_cam_imu is turned by {angle:.0f} deg{inverse}"
+        return Finding("cam_imu_rotation", text, angle, certain=True)
     if np.linalg.det(S) > 0.0 and S[2, 2] == 1.0:
         text = f"T_cam_imu is turned by {angle:.0f} deg about z of the IMU (or the IMU's x and y)"
         return Finding("cam_imu_rotation", text, angle, certain=True)

@@ -16,12 +16,14 @@ from tagvo.tags.tag_map import TagMap
 from vio.records import ImuSample
 from vio.setup_check.findings import Finding
 from vio.setup_check.hypotheses import StatedRig, Turns, check_force, check_setup, enough, moving
+from vio.setup_check.metric_scale import Path, check_scale
 
 _PAIR_NS, _LONGEST_NS = 180_000_000, 450_000_000  # between two frames: VO's noise against turning
 _SPAN_NS = 20_000_000_000  # that is looked at, once it turns enough
 _LEAST_TAGS = 2  # one alone may lie in its other planar solution, for as long as it is looked at
 _EVERY = 20  # pairs between two looks
 _MOST_PAIRS = 170  # half a minute
+_MOST_LOOKS = 45  # three minutes: who has not moved enough by then for a scale hovers
 _GAP_NS = 80_000_000  # frames for the tags' sizes
 _RATIOS = 60
 _SCALE_NAMED, _SCALE_CERTAIN = np.log(1.15), np.log(1.2)  # smallest family: 1.25 total per border
@@ -30,26 +32,30 @@ _RATE, _FORCE = 35.0, 160.0  # samples beyond are faults of another kind
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pair:
-    """A turn of C from a_ns to b_ns: phi_C (3,), sigma per axis [rad]; R_WC (3, 3) at a_ns."""
+    """A turn of C from a_ns to b_ns: phi_C (3,), sigma per axis [rad]; R_WC (3, 3) at a_ns.
+
+    p_WC (2, 3): where C was at both.
+    """
 
     a_ns: int
     b_ns: int
     phi_C: Array
     sigma: float
     R_WC: Array
+    p_WC: Array
 
 
 _Sample = tuple[int, Array, Array]  # stamp, gyro, accel
 
 
-def _turns(samples: list[_Sample], pairs: list[_Pair]) -> Turns:
+def _path(samples: list[_Sample], pairs: list[_Pair]) -> Path:
     """The check's input, times from the first sample on."""
     zero = samples[0][0]
     pairs = [p for p in pairs if p.b_ns > zero]
     phi = np.array([p.phi_C for p in pairs]).reshape(-1, 3)
     keep = np.flatnonzero(moving(phi))
     pick = [pairs[int(k)] for k in keep]
-    return Turns(
+    turns = Turns(
         np.array([p.a_ns - zero for p in pick]) * 1e-9,
         np.array([p.b_ns - zero for p in pick]) * 1e-9,
         phi[keep],
@@ -59,6 +65,7 @@ def _turns(samples: list[_Sample], pairs: list[_Pair]) -> Turns:
         np.array([w for _, w, _ in samples]),
         np.array([f for _, _, f in samples]),
     )
+    return Path(turns, np.array([p.p_WC for p in pick]).reshape(-1, 2, 3))
 
 
 class SetupWatch:
@@ -95,6 +102,10 @@ class SetupWatch:
         self._done, self._sized = not with_imu, False
         self._turned: list[Finding] = []
         self._scaled: list[Finding] = []
+        self._metric: list[Finding] = []
+        self._told: list[str] = []
+        self._looks, self._turns_known = 0, False
+        self._p_CI = camera.p_CI
         self.stated: list[Finding] = []
 
     def settle(self) -> None:
@@ -105,6 +116,8 @@ class SetupWatch:
     def findings(self) -> list[Finding]:
         """All that is known to be wrong, the surest first."""
         every = [*self.stated, *self._turned, *self._scaled]
+        known = {f.code for f in every}
+        every += [f for f in self._metric if f.code not in known]
         return sorted(every, key=lambda f: not f.certain)
 
     @property
@@ -148,7 +161,10 @@ class SetupWatch:
             return
         phi = geo.log(before.R_WC.T @ pose.R_WC)
         sigma = float(np.sqrt(np.trace(before.cov[3:, 3:] + pose.cov[3:, 3:]) / 3.0))
-        self._pairs.append(_Pair(before.t_ns, pose.t_ns, phi, max(sigma, 1e-4), before.R_WC))
+        places = np.stack([before.p_WC, pose.p_WC])
+        self._pairs.append(
+            _Pair(before.t_ns, pose.t_ns, phi, max(sigma, 1e-4), before.R_WC, places)
+        )
         self._new += 1
         if self._new >= _EVERY:
             self._new = 0
@@ -156,23 +172,30 @@ class SetupWatch:
             self._later(lambda: self._judge(samples, pairs))
 
     def _judge(self, samples: list[_Sample], pairs: list[_Pair]) -> None:
-        """Look at all there is now."""
+        """Look at all there is now: the turns until they are known, then the scale as well."""
         if self._done or len(samples) < 50 or len(pairs) < _EVERY:
             return
-        turns = _turns(samples, pairs)
-        lacks = check_force(turns.accel)
-        turned = [lacks] if lacks is not None else check_setup(turns, self._rig)
-        span = pairs[-1].b_ns - pairs[0].a_ns
-        if any(f.certain for f in turned) or (
-            span > _SPAN_NS and len(turns.a_s) >= 60 and enough(turns, self._rig)
-        ):
-            self._done = True
-        self._tell(turned, self._scaled)
+        path = _path(samples, pairs)
+        turns = path.turns
+        self._looks += 1
+        if not self._turns_known:
+            lacks = check_force(turns.accel)
+            self._turned = [lacks] if lacks is not None else check_setup(turns, self._rig)
+            span = pairs[-1].b_ns - pairs[0].a_ns
+            self._turns_known = any(f.certain for f in self._turned) or (
+                span > _SPAN_NS and len(turns.a_s) >= 60 and enough(turns, self._rig)
+            )
+        told = bool(self._turned)  # what the scale is judged by is wrong
+        if not told:
+            self._metric, told = check_scale(path, self._rig, self._p_CI)
+        self._done = self._turns_known and (told or self._looks > _MOST_LOOKS)
+        self._tell()
 
-    def _tell(self, turned: list[Finding], scaled: list[Finding]) -> None:
-        before = self.findings
-        self._turned, self._scaled = turned, scaled
-        if [f.code for f in self.findings] != [f.code for f in before]:
+    def _tell(self) -> None:
+        """Pass the findings on where they are others than those told last."""
+        codes: list[str] = [f.code for f in self.findings]
+        if codes != self._told:
+            self._told = codes
             self._changed(self.findings)
 
     def _size(self, trace: Trace) -> None:
@@ -187,9 +210,9 @@ class SetupWatch:
             return
         self._ratios.append(ratio)
         if len(self._ratios) % _EVERY == 0:
-            scaled = check_sizes(np.array(self._ratios), self._map)
+            self._scaled = check_sizes(np.array(self._ratios), self._map)
             self._sized = len(self._ratios) >= _RATIOS
-            self._tell(self._turned, scaled)
+            self._tell()
 
 
 def pitch_ratio(p_CT: Array, p_WT: Array, size: Array) -> float | None:

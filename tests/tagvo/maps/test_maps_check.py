@@ -37,6 +37,12 @@ def test_sound_map_has_no_findings():
     assert check_map_data(sound(), "m") == []
 
 
+def test_tags_beyond_two_metres_earn_a_word():
+    data = sound()
+    data["tags"] += [tag(8, 10.0, size=2.0), tag(9, 20.0, size=4.6)]
+    assert texts(data, "warning") == ["m: tags 9 (4.6 m) are larger than 2 m: are sizes in metres?"]
+
+
 @pytest.mark.skipif(DATA is None, reason="TAGVIO_DATA is not set")
 @pytest.mark.parametrize(
     "name", ["euroc_imu_april", "mocap_aprilgrid", "tagslam_aviary", "tagslam_line5"]

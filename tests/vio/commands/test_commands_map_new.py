@@ -66,7 +66,7 @@ def test_ctrl_c_ends_the_search_and_keeps_the_best_so_far(tmp_path, monkeypatch)
     monkeypatch.setattr(new, "gently", at_once)
     done = tagvio("map", "new", tmp_path / "m.yaml", *SMALL[:-2])
     assert done.code == 130
-    assert "interrupted; the map is the best so far" in done.err
+    assert "stopped by Ctrl-C; the map is the best so far" in done.err
     assert len(asked) == 7
     assert len(load_map(tmp_path / "m.yaml")) > 80
 

@@ -193,7 +193,7 @@ def test_ctrl_c_leaves_what_there_is_and_the_same_call_goes_on(
         m.setattr(command, "gently", at_once)
         done = tagvio("reproduce", "--out", tmp_path, "--jobs", "1")
     assert done.code == 130
-    assert "interrupted; 1 of 3 flights" in done.err
+    assert "stopped by Ctrl-C after 1 of 3 flights" in done.err
     assert "**Interrupted: 1 of 3 flights.**" in (tmp_path / "reproduce.md").read_text()
     done = tagvio("reproduce", "--out", tmp_path, "--jobs", "1")
     assert done.code == 0, done.err

@@ -183,3 +183,14 @@ def test_stamps_in_another_unit(divisor, unit):
     alone = check_stamps(imu, frames // 1000, "log")
     assert alone is not None
     assert alone.code == "stamp_unit"
+
+
+def test_an_inverted_transform_is_called_by_its_name():
+    R_CI = geo.exp(np.array([0.9, 0.3, 0.4]))
+    true = turns()
+    turned = through(R_CI.T @ CAMERA.R_CI)(true)
+    assert check_setup(turned, replace(RIG, R_CI=R_CI)) == []
+    (found,) = check_setup(turned, replace(RIG, R_CI=R_CI.T))
+    assert found.code == "cam_imu_rotation"
+    assert found.certain
+    assert "this is T_imu_cam, the inverse" in found.text

@@ -114,7 +114,7 @@ def command(
     write_atomic(out, head + map_to_yaml(tag_map))
     typer.echo(f"{out}: {len(tag_map)} tags written")
     if interrupted:
-        typer.echo("interrupted; the map is the best so far", err=True)
+        typer.echo("stopped by Ctrl-C; the map is the best so far", err=True)
         raise typer.Exit(130)
 
 
