@@ -212,8 +212,9 @@ PUBLIC_TAGVO = [
     "load_camera", "load_map", "load_tagvo_config", "render_view", "save_camera", "save_map",
 ]  # fmt: skip
 PUBLIC_VIO = [
-    "Config", "EvaluationError", "FlightLog", "ImuSample", "LogError", "Trajectory", "Truth",
-    "VioError", "comparison", "load_config", "read_tum", "write_tum",
+    "Config", "ErrorStateFilter", "EvaluationError", "FlightLog", "ImuSample", "Localizer",
+    "LogError", "NavState", "Trajectory", "Truth", "VioError", "comparison", "load_config",
+    "read_tum", "run", "write_tum",
 ]  # fmt: skip
 
 

@@ -29,15 +29,14 @@ from clock_study import play
 
 from tagvo.config import TagvoConfig
 from tagvo.pipeline import TagVO
+from vio.config import Config
 from vio.config.filter import VioConfig
 from vio.evaluate.metrics import capture_errors, now_errors, stats
 from vio.evaluate.records import Window, take
 from vio.evaluate.truth import clean_truth
-from vio.filter.eskf import ErrorStateFilter
-from vio.localize.baselines import VoArm
-from vio.localize.fused import VioArm
+from vio.localize.baselines import VoOnly
+from vio.localize.localizer import Localizer
 from vio.localize.run import run, trajectory
-from vio.localize.stopwatch import Stopwatch
 from vio.records import ImuTrack
 from vio.sim.rendered_replay import followed
 from vio.sim.scenario import load_scenario, scenario_yaml
@@ -131,14 +130,10 @@ def found(recording, scenario):
 def fly(log: Path, update: str):
     """Errors at every moment of truth of vo and vio; the time offset in the end [ms]."""
     opened = FlightLog.open(log, use_detections=True)
-    vo = TagVO(opened.camera, opened.tag_map, TagvoConfig())
-    config = VioConfig(update=update)
-    core = ErrorStateFilter(
-        config, opened.camera, opened.imu_noise, opened.tag_map, vo.config.floor
-    )
-    arms = [VoArm(opened.camera), VioArm(core, vo, update == "corners")]
-    result = run(opened.events(), vo, arms, Stopwatch())
-    truth, state = clean_truth(opened.truth), core.state()
+    config = Config(vio=VioConfig(update=update))
+    localizer = Localizer(opened.camera, opened.tag_map, config, opened.imu_noise)
+    result = run(opened.events(), localizer, [VoOnly(opened.camera)])
+    truth, state = clean_truth(opened.truth), localizer.filter.state()
     offset = np.nan if state is None else 1e3 * (state[20] - opened.camera.timeshift_s)
     paths = {n: trajectory(n, result.outputs[n]) for n in ("vo", "vio")}
     return paths, truth, opened.phases, offset

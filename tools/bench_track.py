@@ -32,12 +32,10 @@ from simulated import arena, corners_seen
 from tagvo import geometry as geo
 from tagvo.config import TagvoConfig
 from tagvo.detect.apriltag import AprilTagDetector
-from tagvo.pipeline import TagVO
 from tagvo.records import Frame
 from tagvo.render.view import Look, displaced, render_view
-from vio.config.filter import VioConfig
-from vio.filter.eskf import ErrorStateFilter
-from vio.localize.fused import VioArm
+from vio.config import Config
+from vio.localize.localizer import Localizer
 from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
 from vio.sim.world.trajectory import FLIGHTS
 
@@ -54,9 +52,8 @@ class Arm:
 
     def __init__(self, settings: dict, tag_map, start) -> None:
         config = TagvoConfig.model_validate(settings)
-        self.vo = TagVO(CAM, tag_map, config, lap=self._lap)
-        core = ErrorStateFilter(VioConfig(), CAM, PIXHAWK, tag_map, config.floor)
-        self.arm = VioArm(core, self.vo)
+        whole = Config(tagvo=config)
+        self.localizer = Localizer(CAM, tag_map, whole, PIXHAWK, lap=self._lap)
         self.wall, self.cpu, self.how, self.corner, self.error = [], [], Counter(), [], []
         self.stages: dict[str, list[float]] = {}
         self._last = 0
@@ -69,11 +66,10 @@ class Arm:
     def frame(self, frame: Frame):
         w, c = perf_counter_ns(), thread_time_ns()
         self._last = c
-        trace = self.vo.trace(frame, self.arm.prior(frame.t_ns))
-        self.arm.pose(frame, trace.pose, trace.observations)
-        self._lap("filter")
+        self.localizer.process(frame)
         self.cpu.append((thread_time_ns() - c) * 1e-6)
         self.wall.append((perf_counter_ns() - w) * 1e-6)
+        trace = self.localizer.trace
         self.how.update({k: v for k, v in trace.counts.items() if v})
         return trace
 
@@ -90,7 +86,7 @@ def fly(name: str, args, arms: dict[str, Arm], tag_map, found: dict) -> None:
         t_ns = round(k / args.hz * 1e9)
         while at < len(track) and t_imu[at] <= t_ns + LATE_NS:
             for arm in arms.values():
-                arm.arm.imu(track.sample(at))
+                arm.localizer.process(track.sample(at))
             at += 1
         motion = flight(np.array([t_ns * 1e-9]) + EXPOSURE_S * np.array([-1.0, 0.0, 1.0]) / 3.0)
         R, p = geo.compose(motion.R_WI, motion.p_WI, R_IC, p_IC)
@@ -106,7 +102,7 @@ def fly(name: str, args, arms: dict[str, Arm], tag_map, found: dict) -> None:
             d = traces[n].detections
             q = d.corners_px - px[np.maximum(tag_map.rows(d.tag_id), 0)]
             arm.corner.append(q[np.abs(q).max(axis=(1, 2)) < NEAR_PX].reshape(-1))
-            nav = arm.arm.estimator.nav()
+            nav = arm.localizer.filter.nav()
             if nav is not None and t_ns > 3e9:
                 truth = flight(np.array([nav.t_ns * 1e-9])).p_WI[0]
                 arm.error.append(float(np.linalg.norm(nav.p_WI - truth)))

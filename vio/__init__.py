@@ -1,4 +1,4 @@
-"""Time, inertia and vehicle around tagvo: logs, estimators, judgement, tools; this is public.
+"""Time, inertia and vehicle around tagvo: the localizer, logs, judgement; this is public.
 
 Names are loaded when they are first used, so that `import vio` costs next to nothing.
 """
@@ -14,7 +14,11 @@ if TYPE_CHECKING:
     from vio.errors import VioError as VioError
     from vio.evaluate.compare import comparison as comparison
     from vio.evaluate.records import Trajectory as Trajectory
+    from vio.filter.eskf import ErrorStateFilter as ErrorStateFilter
+    from vio.localize.localizer import Localizer as Localizer
+    from vio.localize.run import run as run
     from vio.records import ImuSample as ImuSample
+    from vio.records import NavState as NavState
     from vio.records import Truth as Truth
     from vio.sinks.tum import read_tum as read_tum
     from vio.sinks.tum import write_tum as write_tum
@@ -22,16 +26,20 @@ if TYPE_CHECKING:
 
 _HOME = {
     "Config": "config",
+    "ErrorStateFilter": "filter.eskf",
     "EvaluationError": "errors",
     "FlightLog": "sources.flight_log.log",
     "ImuSample": "records",
+    "Localizer": "localize.localizer",
     "LogError": "errors",
+    "NavState": "records",
     "Trajectory": "evaluate.records",
     "Truth": "records",
     "VioError": "errors",
     "comparison": "evaluate.compare",
     "load_config": "config",
     "read_tum": "sinks.tum",
+    "run": "localize.run",
     "write_tum": "sinks.tum",
 }
 

@@ -102,8 +102,9 @@ class ImuNoise:
 class NavState:
     """An estimate of I in W at one moment.
 
-    p_WI (3,) [m]; R_WI (3, 3); v_WI (3,) [m/s], None where the estimator has none; cov (9, 9) of
-    [p in W, right rotation in I, v in W], or (6, 6) without v, None where unknown.
+    t_ns: the moment, in the IMU's clock; p_WI (3,) [m]; R_WI (3, 3); v_WI (3,) [m/s], None where
+    the estimator has none; cov (9, 9) of [p in W, right rotation in I, v in W], or (6, 6) without
+    v, None where unknown; known_ns: when it was known, None: at once.
     """
 
     t_ns: int
@@ -111,6 +112,7 @@ class NavState:
     R_WI: Array
     v_WI: Array | None = None
     cov: Array | None = None
+    known_ns: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,13 +6,8 @@ import numpy as np
 import yaml
 
 from tagvo import geometry as geo
-from tagvo.pipeline import TagVO
-from vio.config.filter import VioConfig
-from vio.filter.eskf import ErrorStateFilter
-from vio.filter.noise_model import USUAL_NOISE
-from vio.localize.fused import VioArm
+from vio.localize.localizer import Localizer
 from vio.localize.run import run
-from vio.localize.stopwatch import Stopwatch
 from vio.setup_check.watch import SetupWatch
 from vio.sources.flight_log.log import FlightLog
 
@@ -88,9 +83,8 @@ class Judged:
 def judge(folder, force=True):
     """A log through tagvo, the filter and the set-up check; NEES of what is called TRACKING."""
     log = FlightLog.open(folder, use_detections=True)
-    vo = TagVO(log.camera, log.tag_map)
-    noise = log.imu_noise or USUAL_NOISE
-    arm = VioArm(ErrorStateFilter(VioConfig(), log.camera, noise, log.tag_map), vo)
+    with_imu = log.imu is not None
+    localizer = Localizer(log.camera, log.tag_map, imu_noise=log.imu_noise, imu=with_imu)
     watch, errors, states = SetupWatch(log.camera, log.tag_map), [], []
     truth = log.truth
 
@@ -101,7 +95,7 @@ def judge(folder, force=True):
         def output(self, name, out):
             if name != "vio":
                 return
-            state = arm.estimator.health().state.value
+            state = localizer.filter.health().state.value
             states.append(state)
             if state != "TRACKING" or len(states) % 4:
                 return
@@ -110,18 +104,16 @@ def judge(folder, force=True):
                 R = geo.matrix_from_quat(truth.q_WI[i])
                 errors.append((np.r_[out.p_WI - truth.p_WI[i], geo.log(R.T @ out.R_WI)], out.cov))
 
-    with_imu = log.imu is not None
     watch = watch if with_imu else SetupWatch(log.camera, log.tag_map, with_imu=False)
-    arms = [arm] if with_imu else []
-    run(log.events(), vo, arms, Stopwatch(), sinks=[Keep()], look=watch.look,
+    run(log.events(), localizer, sinks=[Keep()], look=watch.look,
         stop=lambda: watch.certain and not force)  # fmt: skip
     watch.settle()
     nees = [float(e @ np.linalg.solve(P, e)) / 6.0 for e, P in errors]
-    total = sum(arm.states.values())
+    states, core = localizer.states, localizer.filter
     return Judged(
-        watch.findings, arm.states["TRACKING"] / max(total, 1),
-        float(np.mean(nees)) if nees else 0.0, arm.estimator.health().resets,
-        arm.estimator.noise_words,
+        watch.findings, states["TRACKING"] / max(sum(states.values()), 1),
+        float(np.mean(nees)) if nees else 0.0, core.health().resets if core else 0,
+        core.noise_words if core else None,
     )  # fmt: skip
 
 

@@ -46,10 +46,10 @@ def command(
         blackout, latency,
     )  # fmt: skip
     from vio.evaluate.compare import write_json
-    from vio.offline.replay import all_vo_arms, replay_log, run_summary
+    from vio.offline.replay import all_baselines, replay_log, run_summary
 
     done = replay_log(
-        choice, all_vo_arms, vo_only=vo_only, needs_truth=True, inspect=True, force=force
+        choice, all_baselines, vo_only=vo_only, needs_truth=True, inspect=True, force=force
     )
     opt.echo_setup(done.setup, done.refused)
     if done.refused:

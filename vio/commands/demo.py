@@ -39,7 +39,7 @@ def command(
     """
     from vio.commands.compare import judge
     from vio.config.shipped import config_path
-    from vio.offline.replay import replay_log, vo_arms
+    from vio.offline.replay import replay_log, vo_baselines
 
     make_folder(out)
     log = out / "log"
@@ -47,8 +47,8 @@ def command(
     contents = {}
     for name, (title, config) in _RUNS.items():
         choice = Choice(log, out / name, config_path(config), (), "imu0", False, None, 1, None, 0.0)
-        arms, vo_only = (vo_arms, True) if name == "new" else (_vo_arm, False)
-        done = replay_log(choice, arms, vo_only=vo_only, needs_truth=True, inspect=True)
+        baselines, vo_only = (vo_baselines, True) if name == "new" else (_vo_only, False)
+        done = replay_log(choice, baselines, vo_only=vo_only, needs_truth=True, inspect=True)
         typer.echo(f"\n{title[0].upper()}{title[1:]}:")
         contents[name] = judge(done, out / name, 0.0, "none", f"tagvio demo: {title}")
         if done.result.interrupted:
@@ -56,10 +56,10 @@ def command(
     typer.echo("\n" + sentence(contents["new"], contents["joint"]))
 
 
-def _vo_arm(log: "FlightLog", config: "Config") -> "list[Estimator]":
-    from vio.localize.baselines import VoArm
+def _vo_only(log: "FlightLog", config: "Config") -> "list[Estimator]":
+    from vio.localize.baselines import VoOnly
 
-    return [VoArm(log.camera)]
+    return [VoOnly(log.camera)]
 
 
 def _fly(log: Path, quick: bool) -> None:

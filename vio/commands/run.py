@@ -42,14 +42,14 @@ def command(
     """
     from vio.evaluate.compare import write_json
     from vio.localize.run import trajectory, tum_rows
-    from vio.offline.replay import replay_log, run_summary, vo_arms
+    from vio.offline.replay import replay_log, run_summary, vo_baselines
     from vio.sinks.tum import write_tum
 
     choice = Choice(
         log, out, config, tuple(assignments or ()), imu, detections, only_tags, every,
         blackout, latency,
     )  # fmt: skip
-    done = replay_log(choice, vo_arms, vo_only=vo_only, force=force, view=(live, mcap))
+    done = replay_log(choice, vo_baselines, vo_only=vo_only, force=force, view=(live, mcap))
     if done.refused and not done.result.frames:
         write_json(out / "run.json", run_summary(done))
         opt.echo_setup(done.setup, done.refused)

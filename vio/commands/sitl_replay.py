@@ -35,12 +35,10 @@ def replay_into_sitl(
     """
     import numpy as np
 
-    from tagvo.pipeline import TagVO
     from vio.commands import options as opt
     from vio.filter import eskf as flt
-    from vio.filter.noise_model import USUAL_NOISE
     from vio.interrupt import gently
-    from vio.localize.fused import VioArm
+    from vio.localize.localizer import Localizer
     from vio.localize.run import trajectory, tum_rows
     from vio.localize.warmup import warm_up
     from vio.sinks.tum import write_tum
@@ -54,21 +52,18 @@ def replay_into_sitl(
     end = _end(autopilot, rng, port)
     with waiting("loading compiled code (the first run compiles it, up to a minute)"):
         warm_up(log.camera, config.tagvo, config.vio)
-    vo = TagVO(log.camera, log.tag_map, config.tagvo)
-    core = flt.ErrorStateFilter(
-        config.vio, log.camera, log.imu_noise or USUAL_NOISE, log.tag_map, config.tagvo.floor
-    )
-    arm = VioArm(core, vo, config.vio.update == "corners")
+    localizer = Localizer(log.camera, log.tag_map, config, log.imu_noise)
     with progress(log.frame_count, "frames") as step, gently() as stop:
-        vision = LogVision(log, vo, arm, step)
+        vision = LogVision(log, localizer, step)
         played = play(log, end, vision, config.mavlink, R_BI, rng, rest_s=rest_s, stop=stop)
         interrupted = stop()
     vio = trajectory("vio", vision.outputs)
     for one in (vio, played.fc):
         write_tum(choice.out / f"{one.name}.tum", *tum_rows(one))
     frames: dict[str, int | None] = {"total": vision.frames, "with_pose": vision.with_pose}
-    frames["fused"] = sum(core.counters.get(name, 0) for name in flt.TAKEN)
-    frames["rejected"] = sum(core.counters.get(name, 0) for name in flt.REFUSED)
+    counters = {} if localizer.filter is None else localizer.filter.counters
+    frames["fused"] = sum(counters.get(name, 0) for name in flt.TAKEN)
+    frames["rejected"] = sum(counters.get(name, 0) for name in flt.REFUSED)
     end_ns = int(vio.known_ns[-1]) if interrupted and len(vio) else None
     _report(log, played, vio, choice.out, frames, end_ns)
     if interrupted:

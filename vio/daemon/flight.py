@@ -14,14 +14,12 @@ from vio.daemon.clock import FlightClock
 from vio.daemon.detection_threads import Detection
 from vio.daemon.latency_meter import Meter
 from vio.daemon.preflight import Parts
-from vio.daemon.publisher import FlightArm
+from vio.daemon.publisher import Publisher
 from vio.daemon.recorder import Recorder
 from vio.daemon.setup_guard import SetupGuard
 from vio.daemon.status import Rates, Status, cpu_by_thread
 from vio.daemon.systemd import Systemd
-from vio.filter import eskf as flt
-from vio.filter.noise_model import USUAL_NOISE
-from vio.localize.baselines import VoArm
+from vio.localize.baselines import VoOnly
 from vio.localize.run import RunResult, Sink, run
 from vio.localize.stopwatch import Stopwatch
 from vio.mavlink.bridge import Bridge
@@ -57,27 +55,22 @@ class Flight:
         self.latest = Latest()
         config = parts.config
         self._watch = Stopwatch(_KEEP)
-        loop_vo = TagVO(parts.camera, parts.tag_map, config.tagvo, lap=self._watch.lap)
-        core = flt.ErrorStateFilter(
-            config.vio, parts.camera, parts.noise or USUAL_NOISE, parts.tag_map,
-            config.tagvo.floor,
-        )  # fmt: skip
         note = recorder.health if recorder is not None else lambda t_ns, health: None
-        corners = config.vio.update == "corners"
         self.setup = SetupGuard(bridge.alarm, bridge.say, lambda: bridge.companion.vehicle.armed)
         self._setup_watch = SetupWatch(
             parts.camera, parts.tag_map, changed=self.setup.found, later=self.setup.later
         )
-        self.arm = FlightArm(core, loop_vo, corners, bridge, clock, note, self.setup.blame)
-        self._loop_vo, self._camera, self._tag_map = loop_vo, parts.camera, parts.tag_map
+        self.localizer = Publisher(
+            parts, bridge, clock, note=note, blame=self.setup.blame, lap=self._watch.lap
+        )
+        self._vo, self._tag_map = VoOnly(parts.camera), parts.tag_map
         tracks = config.tagvo.track.mode == "on"
-        foresee = self.arm.foresee if tracks else _nowhere
+        foresee = self.localizer.foresee if tracks else _nowhere
         vos = [
             TagVO(parts.camera, parts.tag_map, config.tagvo)
             for _ in range(config.daemon.detection_threads)
         ]
         self.detection = Detection(self.latest, vos, self.events.put, foresee)
-        self._ask_prior = config.tagvo.ambiguity == "prior"
         self._stop, self._more = stop, counters
         self._noise_said = False
         self.result = RunResult(keep=False)
@@ -103,12 +96,9 @@ class Flight:
                 self.view.look(trace)
 
         return run(
-            self.events, self._loop_vo, [VoArm(self._camera), self.arm], self._watch,
-            prior=self._prior, stop=self._stop, sinks=sinks, result=self.result, look=look,
+            self.events, self.localizer, [self._vo], self._watch, stop=self._stop, sinks=sinks,
+            result=self.result, look=look,
         )  # fmt: skip
-
-    def _prior(self, t_ns: int) -> PosePrior | None:
-        return self.arm.prior(t_ns) if self._ask_prior else None
 
     def see(self, frame: Frame) -> None:
         """Take a frame of a camera that has just captured it."""
@@ -141,11 +131,11 @@ class Flight:
         """All figures, for the status file and the log."""
         ages, heard, offset = self.bridge.asked(_link_figures)
         belief, alarms = self.bridge.asked(_belief_figures)
-        health, signs = self.arm.health, self.arm.health.signs
+        health, signs = self.localizer.health, self.localizer.health.signs
         figures, result = self.meter.figures(), self.result
         for text in result.unmapped.news(self._tag_map, result.with_pose):
             LOG.warning("%s", text)
-        noise = self.arm.estimator.noise_words
+        noise = self.localizer.filter.noise_words
         if noise is not None and not self._noise_said:
             self._noise_said = True
             LOG.warning("%s", noise)
@@ -202,7 +192,8 @@ class Flight:
         parts: list[dict[str, int]] = [
             {f"link_{k}": n for k, n in self.bridge.counters.copy().items()},
             link, sent, self.events.counters.copy(), self.detection.counters.copy(),
-            dict(self.arm.counters), dict(self.result.reasons), *(c.copy() for c in self._more),
+            dict(self.localizer.counters), dict(self.result.reasons),
+            *(c.copy() for c in self._more),
             {"frames_skipped": self.latest.dropped},
             {} if self.recorder is None else self.recorder.counters.copy(),
             {} if self.view is None else self.view.counters.copy(),

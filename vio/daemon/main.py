@@ -147,7 +147,7 @@ def _view(flight: Flight, parts: Parts, where: Path, epoch_ns: int) -> LiveView 
     try:
         view = LiveView(
             parts.tag_map, parts.camera, port=live.port, host=live.host, mcap=file,
-            arm=flight.arm, reject_weight=parts.config.tagvo.joint.reject_weight,
+            beliefs=flight.localizer.filter, reject_weight=parts.config.tagvo.joint.reject_weight,
             epoch_ns=epoch_ns, origins=live.origins,
         )  # fmt: skip
     except (VioError, OSError) as err:

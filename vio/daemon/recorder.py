@@ -20,9 +20,8 @@ from tagvo import geometry as geo
 from tagvo.records import Frame
 from vio.config.daemon import RecordConfig
 from vio.filter.health import Health
-from vio.localize.baselines import Output
 from vio.mavlink.messages import Outgoing
-from vio.records import Ground, ImuSample
+from vio.records import Ground, ImuSample, NavState
 from vio.sinks.log import LogWriter
 from vio.sinks.tum import tum_line
 
@@ -101,7 +100,7 @@ class Recorder:
 
         self._put(write)
 
-    def output(self, name: str, output: Output) -> None:
+    def output(self, name: str, output: NavState) -> None:
         """Record an estimator's word; at one stamp the first counts, as in a run."""
         if self._last_t.get(name) == output.t_ns:
             return

@@ -103,7 +103,7 @@ class ErrorStateFilter:
             self._take(step)
         if not intervals or not self._started:
             return None
-        return self.nav()
+        return self.nav(sample.arrival_ns)
 
     def _take(self, step: Interval) -> None:
         self._intervals.append(step)
@@ -156,11 +156,11 @@ class ErrorStateFilter:
         """Say whether the vehicle stands on the ground (disarmed or landed): then it is still."""
         self._on_ground = on_ground
 
-    def nav(self) -> NavState | None:
-        """The state valid at the newest IMU sample, None before the start."""
+    def nav(self, known_ns: int | None = None) -> NavState | None:
+        """The state valid at the newest IMU sample, None before the start; known_ns: for it."""
         if not self._started:
             return None
-        return nav_state(self._history.now_ns, self._history.x, self._history.P)
+        return nav_state(self._history.now_ns, self._history.x, self._history.P, known_ns)
 
     def moment(self, t_ns: int | None = None) -> Moment | None:
         """The filter at a stamp of the camera's clock, None: at its newest sample, for a vehicle.

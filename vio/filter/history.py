@@ -262,7 +262,7 @@ class History:
         j, end = np.searchsorted(rows.stamp[: self.count], (stamp_ns, stamp_ns + 1)).tolist()
         if (rows.z[j:end, 0] == z[0]).any():
             return "duplicate"
-        j += int((rows.z[j:end, 0] < z[0]).sum())  # one stamp: by kind, however they come
+        j += int((rows.z[j:end, 0] > z[0]).sum())  # one stamp: by kind, however they come
         first = int(snapshot_before(s.t, s.x, self.last, stamp_ns))
         while first >= 0 and j < self.count and rows.due[j] <= s.t[first]:
             first -= 1

@@ -1,4 +1,4 @@
-"""The one loop: events of a source through tagvo and through estimators; only they differ."""
+"""The one loop: events of a source through a localizer, and through what it is compared with."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
@@ -8,15 +8,14 @@ from typing import Protocol
 import numpy as np
 
 from tagvo import geometry as geo
-from tagvo.pipeline import TagVO, Trace
-from tagvo.records import Frame, PosePrior
+from tagvo.pipeline import Trace
+from tagvo.records import Frame
 from vio.evaluate.records import Trajectory
-from vio.localize.baselines import Estimator, Output
+from vio.localize.baselines import Estimator
+from vio.localize.localizer import Event, Localizer
 from vio.localize.stopwatch import Stopwatch
-from vio.records import Ground, ImuSample
+from vio.records import ImuSample, NavState
 from vio.setup_check.unmapped_tags import UnmappedTags
-
-Event = ImuSample | Frame | Ground
 
 
 class Sink(Protocol):
@@ -25,7 +24,7 @@ class Sink(Protocol):
     def event(self, event: Event) -> None:
         """An event is about to be taken."""
 
-    def output(self, name: str, output: Output) -> None:
+    def output(self, name: str, output: NavState) -> None:
         """An estimator has said something new."""
 
 
@@ -40,7 +39,7 @@ class RunResult:
     outputs and tags used, false: counts alone, so that a run may last for ever.
     """
 
-    outputs: dict[str, list[Output]] = field(default_factory=dict)
+    outputs: dict[str, list[NavState]] = field(default_factory=dict)
     frames: int = 0
     with_pose: int = 0
     imu: int = 0
@@ -56,24 +55,26 @@ class RunResult:
 
 def run(
     events: Iterable[Event],
-    vo: TagVO,
-    estimators: Sequence[Estimator],
-    watch: Stopwatch,
+    localizer: Localizer,
+    baselines: Sequence[Estimator] = (),
+    watch: Stopwatch | None = None,
+    *,
     each_frame: Callable[[], None] = lambda: None,
-    prior: Callable[[int], PosePrior | None] = lambda t_ns: None,
     stop: Callable[[], bool] = lambda: False,
     sinks: Sequence[Sink] = (),
     result: RunResult | None = None,
     look: Callable[[Trace], None] = lambda trace: None,
 ) -> RunResult:
-    """Feed events in order to tagvo and the estimators; Ctrl-C ends it and keeps what there is.
+    """Feed events in order to a localizer and what it is compared with; Ctrl-C ends it gently.
 
-    prior: where the camera should be at a stamp, for tagvo; each_frame: called after every frame;
-    stop: asked before every event, true ends it; result: where it gathers, None: a new one; look:
-    shown every frame's intermediates once the estimators have taken them.
+    The localizer's states are `vio` of the result where it has a filter. each_frame: called after
+    every frame; stop: asked before every event, true ends it; result: where it gathers, None: a new
+    one; look: shown every frame's intermediates once all have taken them.
     """
-    result = RunResult() if result is None else result
-    result.outputs.update({e.name: [] for e in estimators})
+    result, watch = result or RunResult(), watch or Stopwatch()
+    result.outputs.update({e.name: [] for e in baselines})
+    if localizer.filter is not None:
+        result.outputs["vio"] = []
     try:
         for event in events:
             if stop():
@@ -82,24 +83,22 @@ def run(
             for sink in sinks:
                 sink.event(event)
             _reach(result, event)
-            if isinstance(event, ImuSample):
-                result.imu += 1
-                for estimator in estimators:
-                    _keep(result, estimator, estimator.imu(event), sinks)
-                continue
-            if isinstance(event, Ground):
-                for estimator in estimators:
-                    estimator.ground(event.on_ground)
+            if not isinstance(event, Frame):
+                result.imu += isinstance(event, ImuSample)
+                _keep(result, "vio", localizer.process(event), sinks)
                 continue
             watch.start()
-            trace = vo.trace(event, prior(event.t_ns))
-            _count(result, trace)
-            result.unmapped.take(trace.detections, trace.counts, vo.tag_map)
-            for estimator in estimators:
-                said = estimator.pose(event, trace.pose, trace.observations)
-                _keep(result, estimator, said, sinks)
-                watch.lap("filter" if estimator.name == "vio" else "arms")
+            state = localizer.process(event)
+            trace = localizer.trace
+            assert trace is not None
+            for estimator in baselines:
+                _keep(result, estimator.name, estimator.pose(event, trace.pose), sinks)
+            if localizer.filter is not None:
+                _keep(result, "vio", state, sinks)
+            watch.lap("arms")
             watch.stop()
+            _count(result, trace)
+            result.unmapped.take(trace.detections, trace.counts, localizer.vo.tag_map)
             look(trace)
             each_frame()
     except KeyboardInterrupt:
@@ -116,21 +115,19 @@ def _reach(result: RunResult, event: Event) -> None:
         result.reached_ns = known_ns
 
 
-def _keep(
-    result: RunResult, estimator: Estimator, output: Output | None, sinks: Sequence[Sink]
-) -> None:
-    """Keep one output a stamp: at equal times of arrival the later word counts, else the first."""
-    if output is None:
+def _keep(result: RunResult, name: str, state: NavState | None, sinks: Sequence[Sink]) -> None:
+    """Keep one state a stamp: at equal times of arrival the later word counts, else the first."""
+    if state is None:
         return
     for sink in sinks:
-        sink.output(estimator.name, output)
+        sink.output(name, state)
     if not result.keep:
         return
-    outputs = result.outputs[estimator.name]
-    if not outputs or outputs[-1].t_ns != output.t_ns:
-        outputs.append(output)
-    elif outputs[-1].known_ns == output.known_ns:
-        outputs[-1] = output
+    states = result.outputs[name]
+    if not states or states[-1].t_ns != state.t_ns:
+        states.append(state)
+    elif states[-1].known_ns == state.known_ns:
+        states[-1] = state
 
 
 def _count(result: RunResult, trace: Trace) -> None:
@@ -148,15 +145,15 @@ def _count(result: RunResult, trace: Trace) -> None:
         result.tags_count.append(used)
 
 
-def trajectory(name: str, outputs: Sequence[Output]) -> Trajectory:
-    """The outputs of one estimator as arrays, in the order in which they were known."""
+def trajectory(name: str, outputs: Sequence[NavState]) -> Trajectory:
+    """The states of one estimator as arrays, in the order in which they were known."""
     n = len(outputs)
     velocities = [o.v_WI for o in outputs if o.v_WI is not None]
-    covariances = [o.cov for o in outputs if o.cov is not None]
+    covariances = [o.cov[:6, :6] for o in outputs if o.cov is not None]
     return Trajectory(
         name,
         np.array([o.t_ns for o in outputs], dtype=np.int64),
-        np.array([o.known_ns for o in outputs], dtype=np.int64),
+        np.array([o.t_ns if o.known_ns is None else o.known_ns for o in outputs], dtype=np.int64),
         np.array([o.p_WI for o in outputs]).reshape(n, 3),
         np.array([o.R_WI for o in outputs]).reshape(n, 3, 3),
         np.array(velocities) if n and len(velocities) == n else None,

@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from vio.filter import eskf as flt
-from vio.localize.fused import VioArm
+from vio.filter.eskf import ErrorStateFilter
+from vio.localize.localizer import Localizer
 from vio.localize.run import RunResult
 from vio.setup_check.unmapped_tags import other_family
 from vio.sources.flight_log.log import FlightLog
@@ -13,7 +14,7 @@ REJECTED = (*flt.REFUSED, "pose_not_finite")
 
 
 def run_warnings(
-    log: FlightLog, result: RunResult, vio: VioArm | None, *, explained: bool, all_tags: bool
+    log: FlightLog, result: RunResult, vio: Localizer | None, *, explained: bool, all_tags: bool
 ) -> list[str]:
     """All that a run says against itself; all_tags: none of the map was left out."""
     said = [] if vio is None else filter_doubts(vio, log, result, explained=explained)
@@ -51,16 +52,18 @@ _MOST_RESTARTS = 1  # the healthy ones: 0, wrong scale, focal length, lens or si
 _A_RESTART_S = 60.0  # more rarely, they may be faults of hours of flight
 
 
-def filter_doubts(vio: VioArm, log: FlightLog, result: RunResult, *, explained: bool) -> list[str]:
+def filter_doubts(
+    vio: Localizer, log: FlightLog, result: RunResult, *, explained: bool
+) -> list[str]:
     """What the filter's own counts say against it: it never started, starts anew, or believes few.
 
     explained: whether the set-up check has named a mistake that may be the cause.
     """
     where = str(log.path)
-    if not result.outputs[vio.name]:
-        why = ", ".join(vio.estimator.health().reasons)
+    if not result.outputs["vio"]:
+        why = ", ".join(_core(vio).health().reasons)
         return [f"{where}: the filter never started ({why}); vio.tum is empty"]
-    noise = vio.estimator.noise_words
+    noise = _core(vio).noise_words
     said = [] if noise is None else [f"{where}: {noise}"]
     signs = _bad_signs(vio, log, result)
     if not signs:
@@ -74,10 +77,10 @@ def filter_doubts(vio: VioArm, log: FlightLog, result: RunResult, *, explained: 
     return [*said, f"{where}: the filter {'; it '.join(signs)}: vio is not to be trusted; {cause}"]
 
 
-def _bad_signs(vio: VioArm, log: FlightLog, result: RunResult) -> list[str]:
+def _bad_signs(vio: Localizer, log: FlightLog, result: RunResult) -> list[str]:
     """What tells that a filter is no use, each as what it did."""
     signs = []
-    restarts = vio.estimator.counters.get("restarts", 0)
+    restarts = _core(vio).counters.get("restarts", 0)
     seconds = 1e-9 * ((result.reached_ns or log.t0_ns) - log.t0_ns)
     if restarts > _MOST_RESTARTS and restarts * _A_RESTART_S > seconds:
         signs.append(f"started anew {restarts} times in {seconds:.0f} s")
@@ -101,7 +104,12 @@ def _bad_signs(vio: VioArm, log: FlightLog, result: RunResult) -> list[str]:
     return signs
 
 
-def verdicts(vio: VioArm, names: tuple[str, ...]) -> int:
+def _core(vio: Localizer) -> ErrorStateFilter:
+    assert vio.filter is not None, "it is asked about its filter"
+    return vio.filter
+
+
+def verdicts(vio: Localizer, names: tuple[str, ...]) -> int:
     """How many poses met one of these fates."""
-    counters = vio.estimator.counters
+    counters = _core(vio).counters
     return sum(counters.get(name, 0) for name in names)

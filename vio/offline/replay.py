@@ -1,4 +1,4 @@
-"""What `run` and `compare` do alike: a log through tagvo and its arms, and the files they leave."""
+"""What `run` and `compare` do alike: a log through the localizer, and the files they leave."""
 
 import logging
 from collections import Counter
@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tagvo.pipeline import TagVO
 from vio.config import Config
 from vio.errors import EvaluationError, LogError
 from vio.filter import eskf as flt
-from vio.filter.noise_model import USUAL_NOISE
 from vio.interrupt import gently
-from vio.localize.baselines import Estimator, VoArm, VoFirArm
-from vio.localize.fused import VioArm, VoKfArm
+from vio.localize.baselines import Estimator, VoFir, VoKf, VoOnly
+from vio.localize.localizer import Localizer
 from vio.localize.run import RunResult, Sink, run
 from vio.localize.stopwatch import Stopwatch
 from vio.localize.warmup import warm_all
@@ -43,15 +41,15 @@ LOG = logging.getLogger("vio.commands")
 class Replayed:
     """A log that was run: with what configuration, what came out, how long the stages took.
 
-    vio: the filter's arm, None where it did not run; warnings: what a person should know; setup:
-    what contradicts the files; refused: it ended for one of them that is beyond doubt.
+    vio: the localizer, None where its filter did not run; warnings: what a person should know;
+    setup: what contradicts the files; refused: it ended for one of them that is beyond doubt.
     """
 
     log: FlightLog
     config: Config
     result: RunResult
     timing_ms: dict[str, dict[str, float]]
-    vio: VioArm | None
+    vio: Localizer | None
     warnings: list[str]
     setup: "list[Finding]"
     refused: bool = False
@@ -61,7 +59,7 @@ class Replayed:
 
 def replay_log(
     choice: Choice,
-    arms: "Callable[[FlightLog, Config], Sequence[Estimator]]",
+    baselines: "Callable[[FlightLog, Config], Sequence[Estimator]]",
     *,
     vo_only: bool,
     needs_truth: bool = False,
@@ -69,7 +67,7 @@ def replay_log(
     force: bool = False,
     view: "tuple[int | None, Path | None]" = (None, None),
 ) -> Replayed:
-    """Run a log through the VO arms made for it and, unless vo_only, through the filter.
+    """Run a log through a localizer (vo_only: without its filter) and what it is compared with.
 
     inspect: also keep what was seen of the map and what the filter believed, for a report; view:
     port and MCAP file of a live view; force: run on where the set-up is wrong beyond doubt.
@@ -84,15 +82,13 @@ def replay_log(
         vio_too = None if vo_only or log.imu is None else config.vio
         warm_all(log.tag_map, log.camera, config.tagvo, vio_too)
     watch = Stopwatch()
-    vo = TagVO(log.camera, log.tag_map, config.tagvo, lap=watch.lap)
     setup = _setup_watch(log, vo_only)
     if setup.certain and not force:
         return Replayed(log, config, RunResult(), {}, None, log.warnings, setup.findings, True)
-    vio, warnings = (None, []) if vo_only else _filter(log, config, vo)
-    estimators = [*arms(log, config), *([] if vio is None else [vio])]
-    tracks = config.tagvo.track.mode == "on"
-    ask = (tracks or config.tagvo.ambiguity == "prior") and vio is not None
-    prior = vio.prior if ask and vio else _no_prior
+    localizer = Localizer(
+        log.camera, log.tag_map, config, log.imu_noise, imu=vio_too is not None, lap=watch.lap
+    )
+    vio, warnings = None if vio_too is None else localizer, [] if vo_only else _imu_words(log)
     book, diary, look = _inspectors(log, config, vio) if inspect else (None, None, _no_look)
     shown = _view(log, config, vio, view)
     looks = _both(setup.look, look if shown is None else _both(look, shown.look))
@@ -100,7 +96,10 @@ def replay_log(
     try:
         with progress(log.frame_count, "frames") as step, gently() as stop:
             ends = stop if force else lambda: stop() or setup.certain
-            result = run(log.events(), vo, estimators, watch, step, prior, ends, sinks, look=looks)
+            result = run(
+                log.events(), localizer, baselines(log, config), watch,
+                each_frame=step, stop=ends, sinks=sinks, look=looks,
+            )  # fmt: skip
             ended = result.interrupted
             result.interrupted = stop() or (ended and (force or not setup.certain))
     finally:
@@ -134,7 +133,7 @@ def _no_look(trace: "Trace") -> None:
 
 
 def _view(
-    log: FlightLog, config: Config, vio: VioArm | None, view: "tuple[int | None, Path | None]"
+    log: FlightLog, config: Config, vio: Localizer | None, view: "tuple[int | None, Path | None]"
 ) -> "LiveView | None":
     port, mcap = view
     if port is None and mcap is None:
@@ -142,7 +141,7 @@ def _view(
     from vio.sinks.live_view import LiveView
 
     shown = LiveView(
-        log.tag_map, log.camera, port=port, mcap=mcap, arm=vio,
+        log.tag_map, log.camera, port=port, mcap=mcap, beliefs=None if vio is None else vio.filter,
         reject_weight=config.tagvo.joint.reject_weight, lossless=True,
     )  # fmt: skip
     if shown.port is not None:
@@ -161,14 +160,15 @@ def _both(
 
 
 def _inspectors(
-    log: FlightLog, config: Config, vio: VioArm | None
+    log: FlightLog, config: Config, vio: Localizer | None
 ) -> "tuple[SightingBook, DiaryKeeper | None, Callable[[Trace], None]]":
     """What writes down the sightings and the filter's beliefs, and what shows both a frame."""
     from vio.evaluate.filter_log import DiaryKeeper
     from vio.evaluate.tag_sightings import SightingBook
 
     book = SightingBook(config.tagvo.joint.reject_weight)
-    diary = None if vio is None else DiaryKeeper(vio.estimator, log.camera.R_CI.T)
+    core = None if vio is None else vio.filter
+    diary = None if core is None else DiaryKeeper(core, log.camera.R_CI.T)
 
     def look(trace: "Trace") -> None:
         book.note(trace)
@@ -178,31 +178,23 @@ def _inspectors(
     return book, diary, look
 
 
-def _no_prior(t_ns: int) -> None:
-    return None
-
-
-def _filter(log: FlightLog, config: Config, vo: TagVO) -> tuple[VioArm | None, list[str]]:
-    """The filter's arm for a log, and warnings; no arm where the log has no IMU."""
+def _imu_words(log: FlightLog) -> list[str]:
+    """What a person should know of the log's IMU before it is used."""
     if log.imu is None:
-        return None, [f"{log.path}: no IMU, so visual odometry runs alone (no vio)"]
+        return [f"{log.path}: no IMU, so visual odometry runs alone (no vio)"]
     shift = round(log.camera.timeshift_s * 1e9)
-    warnings = check_imu(log.imu, log.frames.t_ns + shift, str(log.path))
-    core = flt.ErrorStateFilter(
-        config.vio, log.camera, log.imu_noise or USUAL_NOISE, log.tag_map, config.tagvo.floor
-    )
-    return VioArm(core, vo, config.vio.update == "corners"), warnings
+    return check_imu(log.imu, log.frames.t_ns + shift, str(log.path))
 
 
-def vo_arms(log: FlightLog, config: Config) -> list[Estimator]:
+def vo_baselines(log: FlightLog, config: Config) -> list[Estimator]:
     """`vo` and `vo_fir`; the FIR is the configured one, the paper's where none is."""
     taps = "paper" if config.tagvo.fir == "none" else config.tagvo.fir
-    return [VoArm(log.camera), VoFirArm(log.camera, taps, config.tagvo.fir_gap_s)]
+    return [VoOnly(log.camera), VoFir(log.camera, taps, config.tagvo.fir_gap_s)]
 
 
-def all_vo_arms(log: FlightLog, config: Config) -> list[Estimator]:
-    """Every VO-only arm of a comparison: `vo`, `vo_fir` and `vo_kf`."""
-    return [*vo_arms(log, config), VoKfArm(log.camera)]
+def all_baselines(log: FlightLog, config: Config) -> list[Estimator]:
+    """All that a comparison sets beside the filter: `vo`, `vo_fir` and `vo_kf`."""
+    return [*vo_baselines(log, config), VoKf(log.camera)]
 
 
 def frame_counts(done: Replayed) -> dict[str, int | None]:
@@ -226,8 +218,8 @@ def _frames_by_id(frames: "Counter[int]") -> dict[str, int]:
 def run_summary(done: Replayed) -> dict[str, Any]:
     """The content of `run.json`."""
     result, filtered = done.result, Counter[str]()
-    if done.vio is not None:
-        filtered = Counter(done.vio.estimator.counters)
+    if done.vio is not None and done.vio.filter is not None:
+        filtered = Counter(done.vio.filter.counters)
     verdicts = {v: filtered.pop(v) for v in REJECTED if v in filtered}
     return {
         "frames": frame_counts(done),

@@ -14,12 +14,9 @@ from vio.evaluate.compare import VIEWS
 from vio.evaluate.metrics import capture_errors, now_errors
 from vio.evaluate.records import Trajectory, Window
 from vio.evaluate.truth import TruthTrack, clean_truth
-from vio.filter.eskf import ErrorStateFilter
-from vio.filter.noise_model import USUAL_NOISE
-from vio.localize.baselines import Estimator, VoArm, VoFirArm
-from vio.localize.fused import VioArm
+from vio.localize.baselines import Estimator, VoFir, VoOnly
+from vio.localize.localizer import Localizer
 from vio.localize.run import run, trajectory
-from vio.localize.stopwatch import Stopwatch
 from vio.records import Ground, ImuSample, Phase
 from vio.reproduce.plan import WHOLE
 from vio.reproduce.records import Judge, Score, Task, pooled, scored
@@ -57,9 +54,10 @@ def _judged(task: Task, judge: Judge, recording: Recording, seen: list[Frame]) -
     events, truth = list(in_order(recording, seen)), clean_truth(recording.truth)
     spans = windows(recording.phases)
     for arm in judge.arms:
-        vo, estimator = _arm(arm, recording)
-        result = run(events, vo, [estimator], Stopwatch())
-        path = trajectory(estimator.name, result.outputs[estimator.name])
+        localizer, baselines = _estimator(arm, recording)
+        result = run(events, localizer, baselines)
+        ((name, states),) = result.outputs.items()
+        path = trajectory(name, states)
         for phase, parts in spans.items():
             names = (judge.study, task.case, phase, arm)
             every = [s for window in parts for s in _scores(names, path, truth, window)]
@@ -90,16 +88,17 @@ def windows(phases: Iterable[Phase]) -> dict[str, list[Window]]:
     return out
 
 
-def _arm(name: str, recording: Recording) -> tuple[TagVO, Estimator]:
-    config = _config(name)
-    vo = TagVO(recording.camera, recording.tag_map, config.tagvo)
-    if name == "NEW+FIR":
-        return vo, VoFirArm(recording.camera, "paper", _FIR_GAP_S)
-    if name not in ("VIO", "VIO corners", "JBT in the filter"):
-        return vo, VoArm(recording.camera)
-    noise, floor = recording.noise or USUAL_NOISE, config.tagvo.floor
-    core = ErrorStateFilter(config.vio, recording.camera, noise, recording.tag_map, floor)
-    return vo, VioArm(core, vo, config.vio.update == "corners")
+def _estimator(name: str, recording: Recording) -> tuple[Localizer, list[Estimator]]:
+    """A localizer, and what is judged beside it where it has no filter."""
+    config, filtered = _config(name), name in ("VIO", "VIO corners", "JBT in the filter")
+    localizer = Localizer(
+        recording.camera, recording.tag_map, config, recording.noise, imu=filtered
+    )
+    if filtered:
+        return localizer, []
+    smoothed = name == "NEW+FIR"
+    camera = recording.camera
+    return localizer, [VoFir(camera, "paper", _FIR_GAP_S) if smoothed else VoOnly(camera)]
 
 
 def _config(name: str) -> Config:

@@ -23,8 +23,9 @@ from tagvo.records import Frame, Observations
 from tagvo.tags.tag_map import TagMap
 from vio.config.daemon import ORIGINS
 from vio.errors import VioError
+from vio.filter.eskf import ErrorStateFilter
 from vio.filter.health import Health
-from vio.localize.baselines import Output
+from vio.records import NavState
 from vio.sinks.origins import OriginProxy, hidden_host
 
 LOG = logging.getLogger("vio.sinks.live")
@@ -64,7 +65,7 @@ class LiveView:
         port: int | None = None,
         host: str = "127.0.0.1",
         mcap: Path | None = None,
-        arm: Any = None,
+        beliefs: ErrorStateFilter | None = None,
         reject_weight: float = JointConfig().reject_weight,
         lossless: bool = False,
         epoch_ns: int = 0,
@@ -72,19 +73,19 @@ class LiveView:
     ) -> None:
         """port: of the server, 0: any free one, None: no server; mcap: a file not there yet.
 
-        arm: the filter's (`VioArm`), asked for its prior and health; reject_weight: below it the
+        beliefs: the filter, asked for its prior and health; reject_weight: below it the
         joint pose has rejected a tag (tagvo.joint.reject_weight); lossless: let a run wait for
         the file rather than drop; epoch_ns: added to stamps to make them times of day; origins: of
         the pages that may look (`vio.sinks.origins`). VioError
         where the port is in use, the file is there or foxglove-sdk is not installed.
         """
-        self._map, self._camera, self._arm = tag_map, camera, arm
+        self._map, self._camera, self._filter = tag_map, camera, beliefs
         self._epoch_ns, self._lossless, self._reject = epoch_ns, lossless, reject_weight
         self.counters: Counter[str] = Counter()
         self._open(port, host, mcap, origins)
         self._channels = _Channels(self._context)
         self._frames: deque[_Seen] = deque()
-        self._states: deque[Output] = deque()
+        self._states: deque[NavState] = deque()
         self._words: deque[tuple[int, str, str]] = deque(maxlen=_WORDS)
         self._more = threading.Condition()
         self._image: Frame | None = None
@@ -140,7 +141,7 @@ class LiveView:
         if isinstance(event, Frame):
             self._image = event
 
-    def output(self, name: str, output: Output) -> None:
+    def output(self, name: str, output: NavState) -> None:
         """Something new of an estimator: the filter's is shown, up to 20 a second."""
         if name != "vio" or 0 <= output.t_ns - self._state_ns < _STATE_NS:
             return
@@ -154,9 +155,9 @@ class LiveView:
             return
         self._frame_ns = trace.t_ns
         rejected = trace.rejected(self._reject)
-        prior = None if self._arm is None else self._arm.prior(trace.t_ns)
+        prior = None if self._filter is None else self._filter.prior(trace.t_ns)
         where = None if prior is None else (prior.R_WC, prior.p_WC)
-        health = None if self._arm is None else self._arm.estimator.health()
+        health = None if self._filter is None else self._filter.health()
         mine = self._image is not None and self._image.t_ns == trace.t_ns
         image = self._image.image if mine and self._image is not None else None
         figures = self._figures(trace)
@@ -167,9 +168,9 @@ class LiveView:
         """Numbers of a frame for the plots."""
         used = 0 if trace.pose is None else len(trace.pose.tag_ids)
         out = {"tags_seen": float(len(trace.observations)), "tags_used": float(used)}
-        if self._arm is not None:
-            out["nis_per_dof"] = self._arm.estimator.nis
-            state = self._arm.estimator.state()
+        if self._filter is not None:
+            out["nis_per_dof"] = self._filter.nis
+            state = self._filter.state()
             if state is not None:
                 from vio.filter import state as at
 
@@ -223,7 +224,7 @@ class LiveView:
         return bool(self._frames or self._states or self._words)
 
     def _show(
-        self, frames: list[_Seen], states: list[Output], words: list[tuple[int, str, str]]
+        self, frames: list[_Seen], states: list[NavState], words: list[tuple[int, str, str]]
     ) -> None:
         for t_ns, level, text in words:
             self._channels.log(t_ns + self._epoch_ns, level, text)
@@ -255,7 +256,7 @@ class LiveView:
             c.health.log(word, log_time=t_ns)
         c.figures.log(dict(frame.figures), log_time=t_ns)
 
-    def _show_state(self, state: Output) -> None:
+    def _show_state(self, state: NavState) -> None:
         from vio.sinks import live_messages as make
 
         c, t_ns = self._channels, state.t_ns + self._epoch_ns
@@ -326,7 +327,7 @@ class _Channels:
         self._words.log(word, log_time=t_ns)
 
 
-def _numbers(state: Output) -> dict[str, Any]:
+def _numbers(state: NavState) -> dict[str, Any]:
     """A state as numbers to plot: metres, degrees."""
     from tagvo import geometry as geo
 
@@ -334,7 +335,7 @@ def _numbers(state: Output) -> dict[str, Any]:
     out: dict[str, Any] = {
         "position_m": dict(zip("xyz", map(float, state.p_WI), strict=True)),
         "rpy_deg": dict(zip(("roll", "pitch", "yaw"), map(float, rpy), strict=True)),
-        "age_ms": 1e-6 * (state.known_ns - state.t_ns),
+        "age_ms": 1e-6 * ((state.known_ns or state.t_ns) - state.t_ns),
     }
     if state.v_WI is not None:
         out["velocity_m_s"] = dict(zip("xyz", map(float, state.v_WI), strict=True))

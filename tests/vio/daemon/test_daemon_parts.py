@@ -24,7 +24,6 @@ from vio.daemon.recorder import Recorder
 from vio.daemon.status import Rates, Status
 from vio.daemon.systemd import Systemd
 from vio.filter.health import Health, State
-from vio.localize.baselines import Output
 from vio.mavlink.messages import Outgoing
 from vio.records import Ground, ImuSample, Moment, NavState
 from vio.sinks.log import LogWriter
@@ -139,7 +138,7 @@ def test_outputs_and_health_are_recorded_as_they_change(writer):
     rec = recorder(writer)
     rec.start()
     for known in (1, 2):
-        rec.output("vio", Output(5, known, np.full(3, float(known)), np.eye(3)))
+        rec.output("vio", NavState(5, np.full(3, float(known)), np.eye(3), known_ns=known))
     for t in range(0, 3000 * MS, 10 * MS):
         state = State.INIT if t < 1500 * MS else State.LOST
         rec.health(t, Health(state, ("no_imu",), None, 0))

@@ -6,14 +6,15 @@ from fc_world import EPOCH, MS
 from flights import CAMERA, events, fly
 from numpy import eye, zeros
 from pymavlink.dialects.v20 import ardupilotmega as m
+from simulated import grid_map
 
 from tagvo.records import Frame
-from vio.config.filter import VioConfig
+from vio.config import Config
 from vio.config.mavlink import MavlinkConfig
 from vio.daemon.clock import FlightClock
-from vio.daemon.publisher import FlightArm
+from vio.daemon.preflight import Parts
+from vio.daemon.publisher import Publisher
 from vio.daemon.setup_guard import SetupGuard
-from vio.filter.eskf import ErrorStateFilter
 from vio.filter.health import State
 from vio.mavlink.codec import MESSAGE_IDS, Codec
 from vio.mavlink.protocol import Companion
@@ -26,16 +27,17 @@ VISION = "VISION_POSITION_ESTIMATE"
 
 
 class Path:
-    """MavlinkImu, FlightArm and Companion in a row; its clock is what `now` says."""
+    """MavlinkImu, Publisher and Companion in a row; its clock is what `now` says."""
 
     def __init__(self, blame=tuple, armed=False):
         made = {"imu": {"message": "HIGHRES_IMU"}, "origin": None, "map_heading_deg": 0.0}
         config = MavlinkConfig.model_validate(made)
         self.companion = Companion(config, eye(3), zeros(3), 7, MESSAGE_IDS)
         self.companion.resets.saved(7)
-        self.estimator = ErrorStateFilter(VioConfig(), CAMERA, PIXHAWK)
-        self.arm = FlightArm(self.estimator, None, False, self, FlightClock(), blame=blame)
-        self.imu = MavlinkImu(self.companion, eye(3), self.arm.imu)
+        parts = Parts(Config(), grid_map(), CAMERA, PIXHAWK, {})
+        self.localizer = Publisher(parts, self, FlightClock(), blame=blame)
+        self.estimator = self.localizer.filter
+        self.imu = MavlinkImu(self.companion, eye(3), self.localizer.process)
         self.codec, self.out = Codec(1, 1), m.MAVLink(None, 1, 1)
         self.now, self.sent = EPOCH, []
         self.beat(armed)
@@ -78,7 +80,7 @@ class Path:
         else:
             t_ns = what.t_ns + EPOCH
             moved = type(what)(t_ns, what.p_WC, what.R_WC, what.cov, what.tag_ids)
-            self.arm.pose(Frame(t_ns, arrival_ns=self.now), moved)
+            self.localizer.fuse(Frame(t_ns, arrival_ns=self.now), moved)
 
 
 @pytest.mark.parametrize("size", [1e2, 1e4, 1e30])
@@ -153,10 +155,10 @@ def test_blamed_the_arm_is_lost_and_sends_nothing_until_armed_is_heard():
     for what in events(flown):
         armed[0] = path.now > EPOCH + 2_000 * MS
         path.take(what)
-        states.add((armed[0], path.arm.health.state, path.arm.health.reasons))
+        states.add((armed[0], path.localizer.health.state, path.localizer.health.reasons))
     lost = {reasons for flying, state, reasons in states if state is State.LOST}
     assert {reasons[0] for reasons in lost} == {"setup_cam_imu_rotation"}
     assert State.TRACKING not in {state for flying, state, _ in states if not flying}
-    assert path.arm.health.state is State.TRACKING
+    assert path.localizer.health.state is State.TRACKING
     assert path.sent
     assert min(t for t, _ in path.sent) > EPOCH + 1_900 * MS

@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose
 from oracles.suspect_study import flight
 
 from tagvo import geometry as geo
-from tagvo.pipeline import TagVO
 from vio.config.filter import PriorConfig, VioConfig
 from vio.filter import state as at
 from vio.filter.eskf import ErrorStateFilter
@@ -17,7 +16,7 @@ from vio.filter.health import State
 from vio.filter.history import _mean_rate, _rate_span
 from vio.filter.measurements import constraints, pose
 from vio.frames import level_frame
-from vio.localize.fused import VioArm
+from vio.localize.localizer import Localizer
 from vio.records import ImuSample
 from vio.sim.sensors.pose_noise import PoseNoise, wrong_rig
 from vio.sim.sensors.simple_imu import PIXHAWK
@@ -287,18 +286,13 @@ def test_a_quiet_gyro_is_averaged_briefly_a_noisy_one_for_longer():
 def test_a_wobbling_vehicle_does_not_lead_the_time_offset_astray():
     """T2 by the quadrotor, shaken at 1 to 10 Hz, with every nuisance at once."""
     recording, seen = flight(1, "nuisances", ("flight.name=T2", "vehicle=qr"))
-    vo = TagVO(recording.camera, recording.tag_map)
-    core = ErrorStateFilter(VioConfig(), recording.camera, recording.noise, recording.tag_map)
-    arm = VioArm(core, vo)
+    localizer = Localizer(recording.camera, recording.tag_map, imu_noise=recording.noise)
     known = [f.t_ns if f.arrival_ns is None else f.arrival_ns for f in seen]
     merged = [(int(t), 0, i) for i, t in enumerate(recording.imu.arrival_ns)]
     merged += [(int(t), 1, i) for i, t in enumerate(known)]
     for _, kind, i in sorted(merged):
-        if kind == 0:
-            arm.imu(recording.imu.sample(i))
-        else:
-            trace = vo.trace(seen[i])
-            arm.pose(seen[i], trace.pose, trace.observations)
+        localizer.process(seen[i] if kind else recording.imu.sample(i))
+    core = localizer.filter
     assert core.counters.get("resets", 0) == 0
     assert core.counters.get("gated", 0) <= 3
     assert abs(core.state()[at.X_TD] - recording.true_camera.timeshift_s) < 0.004

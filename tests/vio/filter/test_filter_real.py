@@ -6,16 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tagvo.config import TagvoConfig
-from tagvo.pipeline import TagVO
+from vio.config import Config
 from vio.config.filter import VioConfig
 from vio.evaluate.metrics import now_errors, stats
 from vio.evaluate.records import Window
 from vio.evaluate.truth import clean_truth
-from vio.filter.eskf import ErrorStateFilter
-from vio.localize.fused import VioArm
+from vio.localize.localizer import Localizer
 from vio.localize.run import run, trajectory
-from vio.localize.stopwatch import Stopwatch
 from vio.sources.flight_log.log import FlightLog
 
 DATA = os.environ.get("TAGVIO_DATA")
@@ -34,11 +31,8 @@ ROWS = {  # given: options, position rms [m] and rotation rms [deg] at most
 def test_errors_on_a_hand_held_log(row, update):
     options, position, rotation = ROWS[row]
     log = FlightLog.open(Path(DATA) / "euroc_imu_april", use_detections=True, **options)
-    vo = TagVO(log.camera, log.tag_map, TagvoConfig())
-    config = VioConfig(update=update)
-    estimator = ErrorStateFilter(config, log.camera, log.imu_noise, log.tag_map, vo.config.floor)
-    arm = VioArm(estimator, vo, update == "corners")
-    result = run(log.events(), vo, [arm], Stopwatch())
+    config = Config(vio=VioConfig(update=update))
+    result = run(log.events(), Localizer(log.camera, log.tag_map, config, log.imu_noise))
     window = Window(log.t0_ns + 8_000_000_000, log.end_ns)
     truth = clean_truth(log.truth)
     figures = stats(now_errors(trajectory("vio", result.outputs["vio"]), truth, window))

@@ -9,7 +9,7 @@ from simulated import pinhole
 
 from tagvo import geometry as geo
 from tagvo.records import Frame, PoseMeasurement
-from vio.localize.baselines import VoArm, VoFirArm, body_output
+from vio.localize.baselines import VoFir, VoOnly, imu_state
 
 R_CI, P_CI = geo.exp(np.array([0.3, -0.7, 1.9])), np.array([0.2, -0.1, 0.05])
 CAMERA = pinhole(R_CI=R_CI, p_CI=P_CI, timeshift_s=-0.0123)
@@ -29,7 +29,7 @@ def imu_pose(p_WC, R_WC):
 @given(st.integers(0, 10_000))
 def test_pose_of_the_imu_from_that_of_the_camera(seed):
     m = measured(seed=seed)
-    out = body_output(Frame(100), m, CAMERA)
+    out = imu_state(Frame(100), m, CAMERA)
     T_WC, T_CI = np.eye(4), np.eye(4)
     T_WC[:3, :3], T_WC[:3, 3] = m.R_WC, m.p_WC
     T_CI[:3, :3], T_CI[:3, 3] = R_CI, P_CI
@@ -47,27 +47,26 @@ def test_covariance_is_carried_by_the_jacobian_that_differences_show():
         d[k] = step
         p, R = imu_pose(m.p_WC + d[:3], m.R_WC @ geo.exp(d[3:]))
         G[:, k] = np.concatenate([p - p0, geo.log(R0.T @ R)]) / step
-    out = body_output(Frame(100), m, CAMERA)
+    out = imu_state(Frame(100), m, CAMERA)
     assert_allclose(out.cov, G @ m.cov @ G.T, rtol=1e-4, atol=1e-4)
 
 
 def test_stamps_move_by_the_timeshift_and_arrival_is_the_frames():
     m = measured(t_ns=10**18 + 1)
-    out = body_output(Frame(10**18 + 1, arrival_ns=10**18 + 77), m, CAMERA)
+    out = imu_state(Frame(10**18 + 1, arrival_ns=10**18 + 77), m, CAMERA)
     assert out.t_ns == 10**18 + 1 - 12_300_000
     assert out.known_ns == 10**18 + 77
-    assert body_output(Frame(10**18 + 1), m, CAMERA).known_ns == 10**18 + 1
+    assert imu_state(Frame(10**18 + 1), m, CAMERA).known_ns == 10**18 + 1
 
 
 def test_vo_says_nothing_without_a_pose():
-    assert VoArm(CAMERA).pose(Frame(1), None) is None
-    assert VoFirArm(CAMERA, "paper", 0.25).pose(Frame(1), None) is None
-    assert VoArm(CAMERA).imu(None) is None
+    assert VoOnly(CAMERA).pose(Frame(1), None) is None
+    assert VoFir(CAMERA, "paper", 0.25).pose(Frame(1), None) is None
 
 
 @pytest.mark.parametrize(("taps", "lag_steps"), [("paper", 2.0), ("endpoint", 0.0)])
 def test_fir_lags_as_its_taps_say_on_a_straight_line(taps, lag_steps):
-    arm, step_ns, step_m = VoFirArm(CAMERA, taps, 0.25), 50_000_000, 0.02
+    arm, step_ns, step_m = VoFir(CAMERA, taps, 0.25), 50_000_000, 0.02
     for k in range(8):
         p_WC = np.array([step_m * k, 1.0, 2.0])
         m = PoseMeasurement(k * step_ns, p_WC, np.eye(3), np.eye(6), (1,))
@@ -79,7 +78,7 @@ def test_fir_lags_as_its_taps_say_on_a_straight_line(taps, lag_steps):
 
 
 def test_two_arms_keep_their_own_past():
-    a, b = VoFirArm(CAMERA, "paper", 0.25), VoFirArm(CAMERA, "paper", 0.25)
+    a, b = VoFir(CAMERA, "paper", 0.25), VoFir(CAMERA, "paper", 0.25)
     a.pose(Frame(0), measured(0, seed=1))
     m = measured(1, seed=2)
-    assert_allclose(b.pose(Frame(1), m).p_WI, body_output(Frame(1), m, CAMERA).p_WI, atol=1e-12)
+    assert_allclose(b.pose(Frame(1), m).p_WI, imu_state(Frame(1), m, CAMERA).p_WI, atol=1e-12)

@@ -15,30 +15,41 @@ from simulated import DOWN, grid_map, pinhole, shot
 from tagvo import geometry as geo
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
-from vio.localize.baselines import Output, VoArm
+from vio.localize.baselines import VoOnly
+from vio.localize.localizer import Localizer
 from vio.localize.run import run, trajectory, tum_rows
 from vio.localize.stopwatch import Stopwatch
 from vio.localize.warmup import warm_up
-from vio.records import ImuSample
+from vio.records import ImuSample, NavState
 
 EMPTY = Detections.of(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)))
 
 
-class Spy:
-    """An estimator that keeps what it is given and answers at once."""
-
-    name = "spy"
+class Spied(Localizer):
+    """A localizer that keeps what it is given and answers samples at once."""
 
     def __init__(self):
+        super().__init__(pinhole(), grid_map())
         self.seen = []
 
     def imu(self, sample):
         self.seen.append(("imu", sample.t_ns))
-        return Output(sample.t_ns, sample.arrival_ns, np.zeros(3), np.eye(3))
+        return NavState(sample.t_ns, np.zeros(3), np.eye(3), known_ns=sample.arrival_ns)
 
-    def pose(self, frame, measured, trace=None):
+    def fuse(self, frame, measured, seen=None):
         self.seen.append(("frame" if measured else "blind", frame.t_ns))
-        return None
+
+
+class Beside:
+    """What a comparison sets beside it, which keeps what it is given."""
+
+    name = "beside"
+
+    def __init__(self):
+        self.seen = []
+
+    def pose(self, frame, measured):
+        self.seen.append(("frame" if measured else "blind", frame.t_ns))
 
 
 @pytest.fixture(scope="module")
@@ -57,19 +68,19 @@ def sample(t_ns):
     return ImuSample(t_ns, np.zeros(3), np.zeros(3), t_ns + 1)
 
 
-def test_every_event_reaches_every_estimator_in_the_order_of_the_source(vo):
-    spies, steps = [Spy(), Spy()], []
-    spies[1].name = "other"
+def test_every_event_reaches_all_in_the_order_of_the_source(vo):
+    spied, beside, steps = Spied(), Beside(), []
     events = [sample(1), frame(vo, 2), sample(3), Frame(4, detections=EMPTY), sample(5)]
-    result = run(events, vo, spies, Stopwatch(), lambda: steps.append(1))
+    result = run(events, spied, [beside], each_frame=lambda: steps.append(1))
     order = [("imu", 1), ("frame", 2), ("imu", 3), ("blind", 4), ("imu", 5)]
-    assert spies[0].seen == spies[1].seen == order
+    assert spied.seen == order
+    assert beside.seen == [one for one in order if one[0] != "imu"]
     assert len(steps) == result.frames == 2
     assert (result.with_pose, result.imu) == (1, 3)
     assert result.reasons == {"no_tags": 1}
     assert result.tags_t_ns == [2, 4]
     assert result.tags_count[1] == 0 < result.tags_count[0]
-    assert [o.t_ns for o in result.outputs["spy"]] == [1, 3, 5]
+    assert [o.t_ns for o in result.outputs["vio"]] == [1, 3, 5]
 
 
 def test_ctrl_c_ends_the_loop_and_keeps_what_came(vo):
@@ -78,15 +89,17 @@ def test_ctrl_c_ends_the_loop_and_keeps_what_came(vo):
         yield frame(vo, 2)
         raise KeyboardInterrupt
 
-    result = run(events(), vo, [VoArm(vo.camera)], Stopwatch())
+    result = run(events(), Localizer(vo.camera, vo.tag_map, imu=False), [VoOnly(vo.camera)])
     assert result.interrupted
+    assert list(result.outputs) == ["vo"]
     assert [o.t_ns for o in result.outputs["vo"]] == [1, 2]
 
 
 def test_trajectories_keep_the_order_of_arrival_and_tum_rows_that_of_time():
     R = [geo.exp(np.array([0.0, 0.0, a])) for a in (0.1, 0.2, 0.3)]
     outputs = [
-        Output(t, k, np.full(3, t), R[i]) for i, (t, k) in enumerate([(5, 6), (3, 7), (5, 8)])
+        NavState(t, np.full(3, t), R[i], known_ns=k)
+        for i, (t, k) in enumerate([(5, 6), (3, 7), (5, 8)])
     ]
     one = trajectory("x", outputs)
     assert one.t_ns.tolist() == [5, 3, 5]
@@ -98,8 +111,8 @@ def test_trajectories_keep_the_order_of_arrival_and_tum_rows_that_of_time():
 
 
 def test_velocity_and_covariance_are_kept_only_where_every_output_has_them():
-    full = Output(1, 1, np.zeros(3), np.eye(3), np.ones(3), np.eye(6))
-    bare = Output(2, 2, np.zeros(3), np.eye(3))
+    full = NavState(1, np.zeros(3), np.eye(3), np.ones(3), np.eye(9))
+    bare = NavState(2, np.zeros(3), np.eye(3))
     assert trajectory("x", [full, full]).v_WI.shape == (2, 3)
     assert trajectory("x", [full, full]).cov.shape == (2, 6, 6)
     mixed = trajectory("x", [full, bare])
@@ -137,11 +150,11 @@ def test_the_stopwatch_measures_each_stage_and_the_whole():
 
 
 def test_asked_to_stop_it_ends_between_events(vo):
-    spy, said = Spy(), iter([False, False, True])
+    spied, said = Spied(), iter([False, False, True])
     events = [sample(1), frame(vo, 2), sample(3), sample(4)]
-    result = run(events, vo, [spy], Stopwatch(), stop=lambda: next(said))
+    result = run(events, spied, stop=lambda: next(said))
     assert result.interrupted
-    assert (result.imu, result.frames, len(spy.seen)) == (1, 1, 2)
+    assert (result.imu, result.frames, len(spied.seen)) == (1, 1, 2)
 
 
 def compiled_signatures():

@@ -16,7 +16,7 @@ from simulated import grid_map, pinhole
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
 from vio.errors import VioError
-from vio.localize.baselines import Output
+from vio.records import NavState
 from vio.sinks.live_messages import expected
 
 pytest.importorskip("foxglove")
@@ -36,8 +36,9 @@ def play(view, recording, shown, image):
         view.look(trace)
         pose = trace.pose
         if pose is not None:
-            view.output("vio", Output(frame.t_ns, frame.t_ns + 1000 * k, pose.p_WC, pose.R_WC,
-                                      np.zeros(3), pose.cov))  # fmt: skip
+            known_ns = frame.t_ns + 1000 * k
+            state = NavState(frame.t_ns, pose.p_WC, pose.R_WC, np.zeros(3), pose.cov, known_ns)
+            view.output("vio", state)
         time.sleep(0.005)
 
 
@@ -153,8 +154,8 @@ def test_states_are_thinned_by_their_own_clock_which_may_start_anew():
         ms = 1_000_000
         for t_ms in (1000, 1010, 1049, 1050, 1060, 1100, 200, 210, 250):
             known_ns = 10**15 + t_ms * ms * 7  # of another clock, which does not count
-            view.output("vio", Output(t_ms * ms, known_ns, np.zeros(3), np.eye(3)))
-            view.output("vo", Output(t_ms * ms + 1, known_ns, np.zeros(3), np.eye(3)))
+            view.output("vio", NavState(t_ms * ms, np.zeros(3), np.eye(3), known_ns=known_ns))
+            view.output("vo", NavState(t_ms * ms + 1, np.zeros(3), np.eye(3), known_ns=known_ns))
     finally:
         view.close()
     assert [t // ms for t in shown] == [1000, 1050, 1100, 200, 250]

@@ -4,17 +4,12 @@ import numpy as np
 import pytest
 from fc_live import free_port
 from fc_sitl import RunningArduPilot, RunningPx4
-from flights import CAMERA
 from flying_log import write_flying_log
 
-from tagvo.config import TagvoConfig
-from tagvo.pipeline import TagVO
-from vio.config.filter import VioConfig
 from vio.config.mavlink import MavlinkConfig
 from vio.errors import LinkError, LogError
 from vio.evaluate.compare import comparison
-from vio.filter.eskf import ErrorStateFilter
-from vio.localize.fused import VioArm
+from vio.localize.localizer import Localizer
 from vio.sim.sensors.simple_imu import PIXHAWK
 from vio.sitl.ardupilot import ArduPilotEnd
 from vio.sitl.play import play
@@ -193,9 +188,7 @@ def log(tmp_path_factory):
 
 
 def fed(log):
-    core = ErrorStateFilter(VioConfig(), CAMERA, PIXHAWK, log.tag_map)
-    vo = TagVO(log.camera, log.tag_map, TagvoConfig())
-    return LogVision(log, vo, VioArm(core, vo), lambda: None)
+    return LogVision(log, Localizer(log.camera, log.tag_map, imu_noise=PIXHAWK), lambda: None)
 
 
 def config(port, **keys):
