@@ -77,19 +77,11 @@ def state() -> str:
     rows, at = [], 0
     for b in BLOCKS:
         span = f"{at} to {at + b.error - 1}" if b.error > 1 else f"{at}"
-        prior = f"`vio.prior.{b.prior}`" if b.prior in PriorConfig.model_fields else f"{b.prior}"
+        prior = f"`{b.prior}`" if b.prior in PriorConfig.model_fields else f"{b.prior}"
         switch = f"`vio.{b.switch}`" if b.switch else "always"
         rows.append([f"`{b.name}`", span, str(b.nominal), b.unit, b.sense, prior, switch])
         at += b.error
-    head = [
-        "block",
-        "rows of the error",
-        "numbers",
-        "unit",
-        "what it is",
-        "prior sigma",
-        "there by",
-    ]
+    head = ["block", "rows", "numbers", "unit", "what it is", "prior", "switch"]
     return table(head, rows)
 
 
