@@ -46,8 +46,9 @@ def test_files_that_a_page_names_exist(page):
 def test_keys_that_pages_name_exist():
     from vio.config import Config
     from vio.config.describe import keys
+    from vio.sim.scenario import Scenario
 
-    known = {key.name for key in keys(Config)}
+    known = {key.name for model in (Config, Scenario) for key in keys(model)}
     sections = tuple(Config.model_fields)
     named = {
         name

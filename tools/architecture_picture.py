@@ -10,6 +10,7 @@ import ast
 import itertools
 from collections import defaultdict
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import house
@@ -33,6 +34,12 @@ def order(root: Path) -> list[str]:
 def unit(module: str) -> str:
     """The folder or root module of a name."""
     return ".".join(module.split(".")[:2])
+
+
+@cache
+def modules(root: Path) -> list[house.Module]:
+    """Every module of a checkout, read once."""
+    return house.modules(root)
 
 
 def dependencies(found: list[house.Module]) -> dict[str, set[str]]:
@@ -161,7 +168,7 @@ def svg(root: Path) -> str:
     """The picture of a checkout, as the text of an SVG file."""
     units = order(root)
     drawn = [name for name in units if name.split(".")[1] not in FOUNDATIONS]
-    needs = dependencies(house.modules(root))
+    needs = dependencies(modules(root))
     kept = {name: {n for n in needs[name] if n in drawn} for name in drawn}
     layers = Layers(drawn, reduced(kept))
     width = max(layers.x[n] + BOX / 2 for n in drawn) + MARGIN

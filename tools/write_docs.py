@@ -12,9 +12,12 @@ import re
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import architecture_picture as picture
-import house
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
@@ -30,7 +33,7 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 def folders() -> str:
     """What each folder or root module holds, in the order of the imports."""
     units = picture.order(ROOT)
-    found = {module.name: module for module in house.modules(ROOT)}
+    found = {module.name: module for module in picture.modules(ROOT)}
     needs = picture.reduced(picture.dependencies(list(found.values())))
     rows = []
     for name in units:
@@ -44,18 +47,31 @@ def folders() -> str:
 def configuration() -> str:
     """Every configuration key, section by section."""
     from vio.config import Config
+
+    return _sections(Config)
+
+
+def scenario() -> str:
+    """Every key of a scenario, section by section."""
+    from vio.sim.scenario import Scenario
+
+    return _sections(Scenario)
+
+
+def _sections(model: "type[BaseModel]") -> str:
     from vio.config.describe import keys
 
-    out, rows = [], []
-    for key in keys(Config):
+    out: list[str] = []
+    rows: list[list[str]] = []
+    for key in keys(model):
+        default = f"`{key.default}`" if key.default else ""
         if key.section is None:
-            default = f"`{key.default}`" if key.default else ""
             rows.append([f"`{key.name}`", default, key.allowed, key.meaning])
             continue
         out, rows = [*out, *_key_table(rows)], []
-        optional = f" ({key.allowed})" if key.allowed else ""
         level = "#" * min(2 + key.name.count("."), 4)
-        out.append(f"\n{level} `{key.name}`\n\n{_sentence(key.meaning)}{optional}\n")
+        kind = "" if key.allowed == "a section" else f" ({key.allowed})"
+        out.append(f"\n{level} `{key.name}`\n\n{_sentence(key.meaning)}{kind}\n")
         more = (key.section.__doc__ or "").strip().split("\n\n", 1)[1:]
         out += [f"\n{' '.join(text.split())}\n" for text in more]
     return "".join([*out, *_key_table(rows)])
@@ -94,6 +110,7 @@ def api(package: str) -> str:
 PARTS: dict[str, tuple[str, Callable[[], str]]] = {
     "docs/architecture.md": ("folders", folders),
     "docs/reference/configuration.md": ("keys", configuration),
+    "docs/reference/scenario.md": ("keys", scenario),
     "docs/filter/state.md": ("state", state),
     "docs/reference/tagvo.md": ("api", lambda: api("tagvo")),
     "docs/reference/vio.md": ("api", lambda: api("vio")),

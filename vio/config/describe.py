@@ -38,15 +38,17 @@ def keys(model: type[BaseModel], inside: str = "") -> Iterator[Key]:
     for name, field in model.model_fields.items():
         section, default = _section(field.annotation), _default(field)
         dotted, meaning = f"{inside}{name}", field.description or ""
+        written = "needed" if field.is_required() else _value(default)
         if section is None:
-            written = "needed" if field.is_required() else _value(default)
             yield Key(dotted, written, _allowed(shapes[name]), meaning)
-        elif isinstance(default, BaseModel):
-            optional = "or null" if type(None) in typing.get_args(field.annotation) else ""
-            yield Key(dotted, "", optional, meaning, section)
-            yield from keys(section, f"{dotted}.")
+        elif typing.get_origin(field.annotation) is tuple:
+            yield Key(dotted, written, "list of sections", meaning, section)
+            yield from keys(section, f"{dotted}[].")
         else:
-            yield Key(dotted, _value(default), "null or a section", meaning, section)
+            optional = type(None) in typing.get_args(field.annotation)
+            allowed = "a section or null" if optional else "a section"
+            given = "" if isinstance(default, BaseModel) else written
+            yield Key(dotted, given, allowed, meaning, section)
             yield from keys(section, f"{dotted}.")
 
 
@@ -92,6 +94,8 @@ def _is_matrix(value: Any) -> bool:
 
 def _value(value: Any) -> str:
     """A default as it stands in a YAML file, on one line."""
+    if isinstance(value, BaseModel):
+        return ""
     text = yaml.safe_dump(_as_lists(value), default_flow_style=True, width=1000, allow_unicode=True)
     return text.removesuffix("...\n").strip().replace("'", '"')
 
@@ -112,5 +116,5 @@ def _allowed(shape: dict[str, Any]) -> str:
     if bounds:
         return ", ".join(bounds) + (", whole" if shape["type"] == "integer" else "")
     names = {"null": "null", "boolean": "true, false", "string": "text", "number": "number",
-             "integer": "whole number", "array": "list"}  # fmt: skip
+             "integer": "whole number", "array": "list", "object": "mapping"}  # fmt: skip
     return names[shape["type"]]

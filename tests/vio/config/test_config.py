@@ -13,6 +13,7 @@ from tagvo.config import TagvoConfig, load_tagvo_config
 from tagvo.errors import ConfigError
 from vio.config import Config, load_config
 from vio.config.describe import commented_yaml, keys
+from vio.sim.scenario import Scenario
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 PAPER = {  # the paper's columns: select, outliers, weights, mean
@@ -48,9 +49,14 @@ def test_the_daemons_example_loads_and_names_files_that_are_there():
     assert (CONFIGS / daemon.calibration).is_file()
 
 
-def test_every_key_says_what_it_means_where_it_is_defined():
-    told = list(keys(Config))
-    assert {k.name for k in told} >= set(leaves(Config().model_dump()))
+def test_every_key_is_told():
+    assert {k.name for k in keys(Config)} >= set(leaves(Config().model_dump()))
+
+
+@pytest.mark.parametrize("model", [Config, Scenario])
+def test_every_key_says_what_it_means_where_it_is_defined(model):
+    told = list(keys(model))
+    assert len(told) > 100
     assert [k.name for k in told if len(k.meaning.split()) < 2] == []
     assert [k.name for k in told if k.section is None and not k.allowed] == []
 
@@ -76,6 +82,7 @@ class Outer(BaseModel):
     must: str = Field(description="a key without default")
     inner: Inner = Field(default=Inner(), description="a section")
     maybe: Inner | None = Field(default=None, description="a section or nothing")
+    many: tuple[Inner, ...] = Field(default=(), description="sections in a list")
 
 
 def test_a_model_tells_its_keys():
@@ -85,10 +92,12 @@ def test_a_model_tells_its_keys():
         ("names", "[a, b]", "list"),
         ("rows", "[[1.0, 2.0]]", "list"),
         ("must", "needed", "text"),
-        ("inner", "", ""),
+        ("inner", "", "a section"),
         ("inner.on", "true", "true, false"),
-        ("maybe", "null", "null or a section"),
+        ("maybe", "null", "a section or null"),
         ("maybe.on", "true", "true, false"),
+        ("many", "[]", "list of sections"),
+        ("many[].on", "true", "true, false"),
     ]
     text = commented_yaml(Outer, "# head\n")
     assert text.startswith('# head\nword: "off" # a word')
