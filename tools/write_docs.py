@@ -38,10 +38,9 @@ def folders() -> str:
     rows = []
     for name in units:
         below = [n for n in units if n in needs.get(name, set())]
-        count = sum(m == name or m.startswith(f"{name}.") for m in found)
         text = (ast.get_docstring(found[name].tree) or "").split("\n")[0].rstrip(".")
-        rows.append([f"`{name}`", str(count), text, ", ".join(f"`{n}`" for n in below) or "-"])
-    return table(["folder or module", "files", "what it holds", "builds on"], rows)
+        rows.append([f"`{name}`", text, ", ".join(f"`{n}`" for n in below) or "-"])
+    return table(["folder or module", "what it holds", "builds on"], rows)
 
 
 def configuration() -> str:
