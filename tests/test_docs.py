@@ -4,6 +4,7 @@ import ast
 import re
 from pathlib import Path
 
+import architecture_picture as picture
 import pytest
 import write_docs
 from doc_pages import PAGES, ROOT, text_of
@@ -145,3 +146,38 @@ def test_every_formula_of_the_pages_is_understood():
             found += 1
             assert "\\" not in convert("".join(tex).strip()), f"{page}: {tex}"
     assert found > 50
+
+
+def test_a_page_without_its_mark_is_named():
+    text = "a\n<!-- generated: x -->\nold\n<!-- end -->\nb\n"
+    new = "a\n<!-- generated: x -->\n\\1 new\n<!-- end -->\nb\n"
+    assert write_docs.filled(text, "x", "\\1 new\n", "p.md") == new
+    with pytest.raises(SystemExit, match=r"p\.md: no `<!-- generated: y -->`"):
+        write_docs.filled(text, "y", "", "p.md")
+
+
+def test_an_arrow_that_a_longer_way_says_is_left_out():
+    needs = {"d": {"c", "b", "a"}, "c": {"b"}, "b": {"a"}, "a": set()}
+    assert picture.reduced(needs) == {"d": {"c"}, "c": {"b"}, "b": {"a"}, "a": set()}
+
+
+def test_the_picture_can_be_read():
+    """Each folder has a box, no two overlap, every arrow goes down, and it fits a page."""
+    text = (DOCS / "architecture.svg").read_text(encoding="utf-8")
+    found = re.findall(r'<rect x="(\d+)" y="(\d+)" width="(\d+)" height="(\d+)" rx', text)
+    boxes = [tuple(map(int, box)) for box in found]
+    drawn = [n for n in picture.order(ROOT) if n.split(".")[1] not in picture.FOUNDATIONS]
+    assert len(boxes) == len(drawn) + 2  # and the two bars
+    assert all(f">{name.split('.')[1]}</text>" in text for name in drawn)
+    apart = [
+        a[0] + a[2] <= b[0] or b[0] + b[2] <= a[0] or a[1] + a[3] <= b[1] or b[1] + b[3] <= a[1]
+        for i, a in enumerate(boxes)
+        for b in boxes[:i]
+    ]
+    assert all(apart)
+    arrows = re.findall(r'<path d="M\d+ (\d+) .* (\d+)" fill="none"', text)
+    assert len(arrows) > 30
+    assert all(int(start) < int(end) for start, end in arrows)
+    width, height = map(int, re.findall(r'viewBox="0 0 (\d+) (\d+)"', text)[-1])
+    assert width <= 1000
+    assert height <= 1200
