@@ -21,70 +21,132 @@ Model = TypeVar("Model", bound=BaseModel)
 class DetectorConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Which detector, and how it searches."""
 
-    library: Literal["auto", "apriltag", "aruco"] = "auto"
-    decimate: PositiveFloat | None = None
-    max_hamming: int = Field(default=1, ge=0, le=2)
-    threads: int = Field(default=1, ge=1, le=16)
+    library: Literal["auto", "apriltag", "aruco"] = Field(
+        default="auto",
+        description="apriltag, aruco (OpenCV), or auto: apriltag where it knows the family",
+    )
+    decimate: PositiveFloat | None = Field(
+        default=None,
+        description="apriltag searches at 1/this size; null: 1.5 below 1280 px of width, else 2",
+    )
+    max_hamming: int = Field(
+        default=1, ge=0, le=2, description="wrong bits that the decoder corrects, 0 to 2"
+    )
+    threads: int = Field(
+        default=1, ge=1, le=16, description="threads of the AprilTag library, 1 to 16"
+    )
 
 
 class NoiseConfig(BaseModel, frozen=True, extra="forbid"):
     """Corner noise [px, one sigma per axis]: of corners that come with a frame, and of sharp ones
     found in its image; with `blur` the latter grows with the measured edge width."""
 
-    corner_px: float = Field(default=0.3, gt=0.0, le=1e3)
-    image_px: float = Field(default=0.1, gt=0.0, le=1e3)
-    blur: bool = True
+    corner_px: float = Field(
+        default=0.3,
+        gt=0.0,
+        le=1e3,
+        description="standard deviation of a corner per axis that came without its image [px]",
+    )
+    image_px: float = Field(
+        default=0.1,
+        gt=0.0,
+        le=1e3,
+        description="standard deviation of a sharp corner found in an image [px]",
+    )
+    blur: bool = Field(
+        default=True,
+        description="measure the blur of each edge in the image and raise the sigma with it",
+    )
 
 
 class IqrConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """How the interquartile range is taken; the paper gives the gain alone."""
 
-    gain: PositiveFloat = 1.5
-    quartiles: Literal["hazen", "linear", "weibull"] = "hazen"
-    floor_m: NonNegativeFloat = 0.001
+    gain: PositiveFloat = Field(
+        default=1.5, description="kept: within this many interquartile ranges of the quartiles"
+    )
+    quartiles: Literal["hazen", "linear", "weibull"] = Field(
+        default="hazen", description="which quartiles: hazen, linear (numpy's) or weibull"
+    )
+    floor_m: NonNegativeFloat = Field(
+        default=0.001,
+        description="least interquartile range [m]; without it exact data would lose tags",
+    )
 
 
 class JointConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Steps of Gauss-Newton, the robust loss (chi-square of a tag's 8 residuals), and whether the
     residuals may show that the map was laid better than it states (`laying_evidence`)."""
 
-    max_steps: int = Field(default=12, ge=1, le=100)
-    robust_chi2: PositiveFloat = 26.12  # 99.9 % of chi-square with 8 degrees of freedom
-    reject_weight: PositiveFloat = Field(default=0.25, le=1.0)
-    laying_evidence: bool = True
+    max_steps: int = Field(default=12, ge=1, le=100, description="Gauss-Newton steps, 1 to 100")
+    robust_chi2: PositiveFloat = Field(
+        default=26.12,
+        description="chi-square of a tag's 8 residuals from which it counts less (99.9 %)",
+    )
+    reject_weight: PositiveFloat = Field(
+        default=0.25,
+        le=1.0,
+        description="a tag of less weight than this is not named as used, 0 to 1",
+    )
+    laying_evidence: bool = Field(
+        default=True,
+        description="residuals may show that tags were laid better than the map's sigma",
+    )
 
 
 class FloorConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """Standard deviations of what no fusion removes: the errors of the calibration."""
 
-    focal_rel: NonNegativeFloat = 0.001
-    principal_px: NonNegativeFloat = 0.5
+    focal_rel: NonNegativeFloat = Field(
+        default=0.001, description="standard deviation of the focal length, as a share of it"
+    )
+    principal_px: NonNegativeFloat = Field(
+        default=0.5, description="standard deviation of the principal point per axis [px]"
+    )
 
 
 class TrackConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
-    """Limits of the tracker and of its gate.
+    """Limits of the tracker and of the policy that decides when to track and when to search."""
 
-    mode: off: every frame is searched whole; on: tags are tracked where a prior allows it.
-    min_side_px: shortest side of a tag worth tracking; max_tags: of one frame, the most useful
-    first; min_tags and min_share: fewer tracked than this, or a smaller share of those tried, and
-    the frame is searched whole; max_sigma_px: prior uncertainty of a corner beyond which nothing is
-    tried; max_errors: cells of one tag that may read wrong; min_contrast: grey values between its
-    white and its black; sweep_s: a full search of strips of the image takes so long to cover it,
-    0: never; strips: how many; adaptive: a search is decimated as far as the tags expected in the
-    image allow (AprilTag library, where tagvo.detector.decimate is null).
-    """
-
-    mode: Literal["off", "on"] = "off"
-    min_side_px: float = Field(default=12.0, ge=8.0)
-    max_tags: int = Field(default=64, ge=1, le=1000)
-    min_tags: int = Field(default=1, ge=1)
-    min_share: float = Field(default=0.5, ge=0.0, le=1.0)
-    max_sigma_px: PositiveFloat = 15.0
-    max_errors: int = Field(default=1, ge=0, le=4)
-    min_contrast: float = Field(default=10.0, ge=4.0)
-    sweep_s: float = Field(default=1.0, ge=0.0)
-    strips: int = Field(default=4, ge=1, le=64)
-    adaptive: bool = True
+    mode: Literal["off", "on"] = Field(
+        default="off",
+        description="on: track where the filter gives a prior, search the whole image elsewhere",
+    )
+    min_side_px: float = Field(
+        default=12.0, ge=8.0, description="shortest side of a tag worth tracking [px]"
+    )
+    max_tags: int = Field(
+        default=64, ge=1, le=1000, description="most tags of one frame, the most useful first"
+    )
+    min_tags: int = Field(
+        default=1, ge=1, description="fewer than this tracked, and the frame is searched whole"
+    )
+    min_share: float = Field(
+        default=0.5,
+        ge=0.0,
+        le=1.0,
+        description="least share of the tags tried that is tracked; below it: searched whole",
+    )
+    max_sigma_px: PositiveFloat = Field(
+        default=15.0, description="uncertainty of the prediction beyond which nothing is tried [px]"
+    )
+    max_errors: int = Field(
+        default=1, ge=0, le=4, description="most cells of a tag that may read wrong"
+    )
+    min_contrast: float = Field(
+        default=10.0, ge=4.0, description="least difference of white and black [grey values]"
+    )
+    sweep_s: float = Field(
+        default=1.0,
+        ge=0.0,
+        description="a full search, strip by strip, covers the image in this time [s]; 0: never",
+    )
+    strips: int = Field(
+        default=4, ge=1, le=64, description="how many strips the image is parted into"
+    )
+    adaptive: bool = Field(
+        default=True, description="decimate a search as far as the expected tags allow"
+    )
 
     @field_validator("mode", mode="before")
     @classmethod
@@ -96,39 +158,90 @@ class TrackConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
 class FilterConfig(BaseModel, frozen=True, extra="forbid"):
     """Limits of the detection filters.
 
-    max_hamming: corrected bits; min_side_px: shortest side [px]; edge_px: least distance of a
-    corner from the image's rim [px], negative: off (tags cut by the rim decode with corners off
-    by up to 11 px; of 4,796 rendered tags of 36h11 that lie 6 px inside none was off by 0.5);
-    min_margin: decision margin, 0 is off (a gate of 30 throws away real tags in dim rooms);
-    duplicate_px: finds of one id that agree so well are one tag.
+    Tags cut by the rim decode with corners off by up to 11 px; of 4,796 rendered tags of 36h11 that
+    lie 6 px inside none was off by 0.5. A decision margin of 30 throws away real tags in dim rooms.
     """
 
-    max_hamming: int = Field(1, ge=0)
-    min_side_px: float = Field(6.0, ge=0.0)
-    edge_px: float = Field(6.0, allow_inf_nan=False)
-    min_margin: float = Field(0.0, ge=0.0)
-    duplicate_px: float = Field(2.0, ge=0.0)
+    max_hamming: int = Field(default=1, ge=0, description="most corrected bits of a detection")
+    min_side_px: float = Field(
+        default=6.0, ge=0.0, description="shortest side of a tag in the image [px]"
+    )
+    edge_px: float = Field(
+        default=6.0,
+        allow_inf_nan=False,
+        description="least distance of a corner from the image's rim [px]; negative: any",
+    )
+    min_margin: float = Field(
+        default=0.0, ge=0.0, description="least decision margin of the decoder; 0: any"
+    )
+    duplicate_px: float = Field(
+        default=2.0,
+        ge=0.0,
+        description="finds of one id closer than this are one tag; further apart, none is used",
+    )
 
 
 class TagvoConfig(BaseModel, frozen=True, extra="forbid"):
     """The stages of the pipeline by name, and their settings."""
 
-    pose: Literal["fused", "joint"] = "joint"
-    select: Literal["JBT", "TBS", "ALL"] = "TBS"
-    outliers: Literal["iqr", "none"] = "iqr"
-    weights: Literal["W1", "W2", "uniform"] = "W2"
-    mean: Literal["QL2", "CL2"] = "QL2"
-    fir: Literal["none", "paper", "endpoint"] = "none"
-    fir_gap_s: float = Field(default=0.25, gt=0.0, le=1e6)
-    ambiguity: Literal["first", "consistent", "prior"] = "consistent"
-    refine: int = Field(default=1, ge=0, le=10)
-    iqr: IqrConfig = IqrConfig()
-    joint: JointConfig = JointConfig()
-    noise: NoiseConfig = NoiseConfig()
-    floor: FloorConfig = FloorConfig()
-    detector: DetectorConfig = DetectorConfig()
-    track: TrackConfig = TrackConfig()
-    filters: FilterConfig = FilterConfig.model_validate({})
+    pose: Literal["fused", "joint"] = Field(
+        default="joint",
+        description="joint: one least-squares pose of all corners; fused: the paper's mean",
+    )
+    select: Literal["JBT", "TBS", "ALL"] = Field(
+        default="TBS",
+        description="TBS: tags of the two biggest sizes in view; JBT: the one biggest tag; ALL",
+    )
+    outliers: Literal["iqr", "none"] = Field(
+        default="iqr",
+        description="OR: interquartile range of the tags' positions, axis by axis; none: keep all",
+    )
+    weights: Literal["W1", "W2", "uniform"] = Field(
+        default="W2",
+        description="by size h = log2(size / smallest): W2 = 2^h, W1 = 4^h, uniform = 1",
+    )
+    mean: Literal["QL2", "CL2"] = Field(
+        default="QL2",
+        description="of rotations: QL2, weighted quaternion sum; CL2, eigenvector of sum w q q^T",
+    )
+    fir: Literal["none", "paper", "endpoint"] = Field(
+        default="none",
+        description="smooths vo.tum over five poses: none; paper: mean, lags; endpoint: no lag",
+    )
+    fir_gap_s: float = Field(
+        default=0.25,
+        gt=0.0,
+        le=1e6,
+        description="the FIR starts anew after a gap longer than this [s]",
+    )
+    ambiguity: Literal["first", "consistent", "prior"] = Field(
+        default="consistent",
+        description="which of a tag's two poses: consistent with others; first: lower error; prior",
+    )
+    refine: int = Field(
+        default=1,
+        ge=0,
+        le=10,
+        description="Gauss-Newton steps on each tag's pose after IPPE, 0 to 10 (pose: fused)",
+    )
+    iqr: IqrConfig = Field(default=IqrConfig(), description="how `outliers: iqr` measures")
+    joint: JointConfig = Field(default=JointConfig(), description="how `pose: joint` solves")
+    noise: NoiseConfig = Field(
+        default=NoiseConfig(), description="standard deviations of the corners"
+    )
+    floor: FloorConfig = Field(
+        default=FloorConfig(),
+        description="what no number of tags averages away: the camera's calibration",
+    )
+    detector: DetectorConfig = Field(default=DetectorConfig(), description="finds tags in images")
+    track: TrackConfig = Field(
+        default=TrackConfig(),
+        description="look for tags where the filter expects them; counted in run.json",
+    )
+    filters: FilterConfig = Field(
+        default=FilterConfig.model_validate({}),
+        description="which detections are used; what falls is counted by cause in run.json",
+    )
 
 
 def validated(model: type[Model], data: object, where: str, prefix: str = "") -> Model:

@@ -1,64 +1,75 @@
-"""README tells the truth: its commands run, its options exist, its Python works, its links lead."""
+"""README and docs tell the truth: their commands run, their options exist, their Python works.
 
+The demo's log is made once a run, whoever needs it first; each section's commands are a test of
+their own, so that workers share them.
+"""
+
+import fcntl
 import json
 import os
 import re
-import shlex
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from doc_pages import (
+    PAGES,
+    ROOT,
+    Chain,
+    blocks,
+    chains,
+    console_lines,
+    tagvio_calls,
+    text_of,
+    written_calls,
+)
 
-ROOT = Path(__file__).parents[1]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+README = text_of(ROOT / "README.md")
 TAGVIO = [sys.executable, "-c", "from vio.cli import main; main()"]
+# Commands whose run is another test: test_commands_cli.test_warmup_says_how_long_it_took.
+ELSEWHERE = [["warmup"]]
 
 
-def blocks(kind: str) -> list[str]:
-    """Contents of the fenced blocks of one kind."""
-    return re.findall(rf"^```{kind}\n(.*?)^```", README, re.DOTALL | re.MULTILINE)
-
-
-def console_lines() -> list[str]:
-    """Commands of the console blocks, without their prompts and outputs."""
-    return [line[2:] for b in blocks("console") for line in b.splitlines() if line[:2] == "$ "]
-
-
-def tagvio_calls(lines: list[str]) -> list[list[str]]:
-    """The words after `tagvio` of each command of that name, wherever it is installed."""
-    calls = [part for line in lines for part in line.split("&&")]
-    words = [shlex.split(call) for call in calls]
-    return [w[1:] for w in words if Path(w[0]).name == "tagvio"]
-
-
-def inline_calls() -> list[list[str]]:
-    """Commands in backquotes within the text and the tables."""
-    found = re.findall(r"`(tagvio [^`]*)`", README)
-    return tagvio_calls(found)
+def environment():
+    """That of a user in the checkout: the code here, on a terminal of 100 columns."""
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    return {**os.environ, "COLUMNS": "100", "PYTHONPATH": path}
 
 
 def run(words, cwd):
-    env = {**os.environ, "COLUMNS": "100"}
     done = subprocess.run(
-        [*TAGVIO, *words], cwd=cwd, env=env, capture_output=True, text=True, check=False
+        [*TAGVIO, *words], cwd=cwd, env=environment(), capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, f"tagvio {' '.join(words)}: {done.stderr}"
     return done.stdout
 
 
-@pytest.fixture(scope="module")
-def clone(tmp_path_factory):
-    """A folder that looks like a clone to the commands, and may be written to."""
-    folder = tmp_path_factory.mktemp("clone")
-    (folder / "configs").symlink_to(ROOT / "configs")
-    return folder
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory):
+    """The folder where `tagvio demo --quick` has run, and what it said; once for all workers."""
+    base = tmp_path_factory.getbasetemp()
+    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "readme"
+    shared.mkdir(exist_ok=True)
+    with (shared / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (shared / "said").exists():
+            output = run(["demo", "--out", "demo", "--quick"], shared)
+            (shared / "said").write_text(output, encoding="utf-8")
+    return shared
 
 
-def check_demo(folder, output):
-    """What `tagvio demo --quick` leaves and says."""
+@pytest.fixture
+def clone(tmp_path, demo):
+    """A folder that looks like a clone to the commands, with the demo in it, to be written to."""
+    (tmp_path / "configs").symlink_to(ROOT / "configs")
+    (tmp_path / "demo").symlink_to(demo / "demo")
+    return tmp_path
+
+
+def test_the_demo_leaves_and_says_what_readme_shows(demo):
     from vio.sources.flight_log.log import FlightLog
 
+    folder, output = demo / "demo", (demo / "said").read_text(encoding="utf-8")
     log = FlightLog.open(folder / "log")
     assert (log.frame_count, len(log.truth), log.warnings) == (61, 401, [])
     rms = {}
@@ -83,85 +94,122 @@ def check_demo(folder, output):
     assert f"the filter (vio) {1e3 * live['position_rmse_m']:.1f} mm" in second
 
 
-def test_commands_run_one_after_the_other(clone):
-    calls = tagvio_calls(console_lines())
-    assert len(calls) >= 8
-    for words in calls:
-        out = run([*words, "--quick"] if words[0] == "demo" else words, clone)
+def sections():
+    """What there is to run: of README what no other page has, of each page its sections."""
+    every = chains()
+    elsewhere = [line for c in every if c.page.name != "README.md" for line in c.lines]
+    once = [
+        Chain(c.page, c.heading, tuple(line for line in c.lines if line not in elsewhere))
+        if c.page.name == "README.md"
+        else c
+        for c in every
+    ]
+    return [c for c in once if tagvio_calls(c.lines)]
+
+
+MAKES = {  # words of a command -> what it leaves, be it empty where no tag of interest was seen
+    "run": ("vo.tum", "vio.tum", "run.json"),
+    "compare": ("comparison.json", "evaluation.json", "report.html"),
+    "simulate": ("mav0/imu0/data.csv", "truth_rig.yaml"),
+}
+
+
+@pytest.mark.parametrize("section", sections(), ids=str)
+def test_commands_of_a_section_run_one_after_the_other(section, clone):
+    for words in tagvio_calls(section.lines):
         if words[0] == "demo":
-            check_demo(clone / "demo", out)
+            assert words == ["demo", "--out", "demo"]  # with --quick the fixture's own call
+            assert (clone / "demo/joint/report.html").stat().st_size > 0
+            continue
+        if words in ELSEWHERE:
+            continue
+        out = run(words, clone)
         if words[:2] == ["map", "check"]:
-            assert out in README, "README shows another output of `map check`"
-    files = ("demo/joint/report.html", "out/vo.tum", "out/comparison.json", "map.png", "hall.pdf")
-    for made in files:
-        assert (clone / made).stat().st_size > 0, made
+            assert out in text_of(section.page), "the page shows another output of `map check`"
+        folder = words[words.index("--out") + 1] if "--out" in words else "."
+        for made in MAKES.get(words[0], ()):
+            assert (clone / folder / made).is_file(), made
+        for made in (w for w in words if w.endswith((".pdf", ".png", ".fmap"))):
+            assert (clone / made).stat().st_size > 0, made
 
 
-def test_every_option_is_known_to_its_command(clone):
-    calls = tagvio_calls(console_lines()) + inline_calls()
-    helps: dict[tuple[str, ...], str] = {}
-    for words in calls:
-        names = tuple(words[: 2 if words[0] == "map" else 1])
+def test_each_command_block_of_readme_and_docs_is_run():
+    ran = [line for section in sections() for line in section.lines]
+    written = [line for page in PAGES for line in console_lines(text_of(page)) if "tagvio" in line]
+    assert [line for line in written if line not in ran] == []
+    assert len({tuple(words) for words in tagvio_calls(ran)}) >= 12
+
+
+def names_of(words):
+    """The command that help is asked for: `map check`, `run`; () for tagvio itself."""
+    head = [w for w in words[:2] if not w.startswith("-")]
+    return tuple(head[: 2 if head[:1] == ["map"] else 1])
+
+
+def test_every_option_is_known_to_its_command(tmp_path):
+    from cli_calls import tagvio
+
+    helps = {}
+    for words in written_calls():
+        names = names_of(words)
         if names not in helps:
-            helps[names] = run([*names, "--help"], clone)
-        options = {w for w in words if w.startswith("-")} - {"--help"}
+            done = tagvio(*names, "--help")
+            assert done.code == 0, f"tagvio {' '.join(names)}: {done.err}"
+            helps[names] = done.out
+        options = {w for w in words if re.match(r"--?[a-z]", w)} - {"--help", "--version"}
         missing = [o for o in options if not re.search(rf"{o}\b", helps[names])]
         assert missing == [], f"tagvio {' '.join(words)}"
-    assert len(helps) >= 6
+    assert len(helps) >= 15
 
 
 @pytest.mark.skipif("TAGVIO_DATA" not in os.environ, reason="TAGVIO_DATA is not set: no real logs")
-def test_measured_commands_run(clone):
-    calls = {tuple(w) for w in inline_calls() if any("$TAGVIO_DATA" in word for word in w)}
-    assert calls
-    for words in sorted(calls):
-        run([w.replace("$TAGVIO_DATA", os.environ["TAGVIO_DATA"]) for w in words], clone)
+@pytest.mark.parametrize(
+    "words",
+    sorted({tuple(w) for w in written_calls() if any("$TAGVIO_DATA" in word for word in w)}),
+    ids=" ".join,
+)
+def test_measured_commands_run(words, tmp_path):
+    run([w.replace("$TAGVIO_DATA", os.environ["TAGVIO_DATA"]) for w in words], tmp_path)
 
 
-def test_python_blocks_run(clone):
-    codes = blocks("python")
-    assert codes
-    for code in codes:
-        done = subprocess.run(
-            [sys.executable, "-c", code], cwd=clone, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, done.stderr
-        assert "(6, 6)" in done.stdout
+PYTHON = [(page, i) for page in PAGES for i, _ in enumerate(blocks(text_of(page), "python"))]
+
+
+@pytest.mark.parametrize(("page", "i"), PYTHON, ids=lambda v: getattr(v, "stem", str(v)))
+def test_python_blocks_run(page, i, clone):
+    code = blocks(text_of(page), "python")[i]
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=clone, env=environment(), capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert "(6, 6)" in done.stdout
+
+
+def test_readme_has_a_python_example():
+    assert blocks(README, "python")
 
 
 def test_the_yaml_block_is_a_map_that_loads():
     from tagvo.tags.tag_map import map_from_dict
     from tagvo.textfile import parse_yaml
 
-    (text,) = blocks("yaml")
-    assert len(map_from_dict(parse_yaml(text, "README"), "README")) == 1
+    (text,) = blocks(text_of(ROOT / "docs/reference/files.md"), "yaml")
+    assert len(map_from_dict(parse_yaml(text, "files.md"), "files.md")) == 1
 
 
 def test_readme_ci_and_the_check_script_are_of_one_mind():
     ci = (ROOT / ".ci" / "run").read_text()
+    check = (ROOT / "tools" / "check").read_text()
     install = "pip install -e '.[test]'"
-    first, second = console_lines()[:2]
+    first, second = console_lines(README)[:2]
     assert install in first
     assert second == "tools/check"
     assert "pip install -q -e '.[test]'" in ci
     assert re.search(r"^tools/check$", ci, re.MULTILINE)
-    assert install in (ROOT / "tools" / "check").read_text()
+    assert install in check
+    assert 'mkdocs" build --strict' in check
     assert all(os.access(ROOT / script, os.X_OK) for script in ("tools/check", ".ci/run"))
 
 
-def test_links_and_named_files_exist():
-    links = re.findall(r"\]\((?!https?:)([^)#]+)\)", README)
-    named = re.findall(r"`((?:tools|configs|tests)/[\w./-]+)`", README)
-    assert links
-    assert named
-    assert [path for path in links + named if not (ROOT / path).exists()] == []
-
-
-def test_configuration_keys_of_the_table_exist():
-    from vio.config import load_config
-
-    rows = re.findall(r"^\| `((?:tagvo|vio)\.[\w.]+)` \| ([^|]+) \|", README, re.MULTILINE)
-    assert len(rows) >= 12
-    for key, values in rows:
-        for value in re.findall(r"`([\w.]+)`", values):
-            load_config(None, [f"{key}={value}"])
+def test_readme_is_short():
+    assert len(README.splitlines()) <= 150

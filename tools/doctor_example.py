@@ -1,4 +1,4 @@
-"""Runs the doctor on an in-test ArduCopter that is set up badly: the example of the README.
+"""Runs the doctor on an in-test ArduCopter that is set up badly: the example of docs/flying.md.
 
 python tools/doctor_example.py [words for `tagvio doctor`, such as --fix --yes]
 """

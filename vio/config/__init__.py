@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, field_validator
+from pydantic import BaseModel, Field, field_validator
 
 from tagvo.config import TagvoConfig, validated
 from tagvo.errors import ConfigError
@@ -21,7 +21,10 @@ Row = tuple[float, float, float, float]
 class VehicleConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     """T_BI: the IMU in the vehicle's body (FLU), a rigid 4x4; identity where I is the body."""
 
-    T_BI: tuple[Row, Row, Row, Row] = _IDENTITY
+    T_BI: tuple[Row, Row, Row, Row] = Field(
+        default=_IDENTITY,
+        description="pose of the IMU in the body (x ahead, y left, z up); identity: the IMU is it",
+    )
 
     @field_validator("T_BI")
     @classmethod
@@ -41,11 +44,22 @@ class VehicleConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False)
 class Config(BaseModel, frozen=True, extra="forbid"):
     """Everything that a configuration file may hold; a missing key has its default."""
 
-    tagvo: TagvoConfig = TagvoConfig()
-    vehicle: VehicleConfig = VehicleConfig()
-    vio: VioConfig = VioConfig()
-    mavlink: MavlinkConfig = MavlinkConfig()
-    daemon: DaemonConfig = DaemonConfig()
+    tagvo: TagvoConfig = Field(
+        default=TagvoConfig(),
+        description="pixels to pose; the joint pose starts from what the paper's stages give",
+    )
+    vehicle: VehicleConfig = Field(
+        default=VehicleConfig(),
+        description="for outputs to a vehicle; run and compare give the pose of the IMU itself",
+    )
+    mavlink: MavlinkConfig = Field(
+        default=MavlinkConfig(), description="the link to the flight controller"
+    )
+    daemon: DaemonConfig = Field(
+        default=DaemonConfig(),
+        description="what `tagvio daemon` flies with; paths are relative to this file's folder",
+    )
+    vio: VioConfig = Field(default=VioConfig(), description="the filter")
 
 
 def load_config(path: Path | None, assignments: Sequence[str] = ()) -> Config:

@@ -1,1 +1,1 @@
-"""Flies: the one loop of `vio.run` between live or replayed sources and a flight controller."""
+"""Flies: the one loop of `tagvio run` between live or replayed sources and a flight controller."""

@@ -25,42 +25,68 @@ _EXAMPLE = "vehicle=hr or stream.rate_hz=20"
 
 
 class MapChoice(Model):
-    """The map of the flight; every: a sparse one, of which each n-th tag (by id) lies at all."""
+    """The map of the flight."""
 
-    file: str = "maps/arena.yaml"
-    every: int = Field(default=1, ge=1)
+    file: str = Field(default="maps/arena.yaml", description="tag map: a file, or one of configs")
+    every: int = Field(default=1, ge=1, description="n: only each n-th tag by id lies there at all")
 
 
 class AlongConfig(Model):
     """Which part of a recorded flight gets frames, in seconds from its first truth."""
 
-    start_s: float = Field(default=0.0, ge=0.0)
-    end_s: PositiveFloat | None = None
+    start_s: float = Field(default=0.0, ge=0.0, description="from when on [s]")
+    end_s: PositiveFloat | None = Field(
+        default=None, description="until when; null: to the end [s]"
+    )
 
 
 class Scenario(Model):
-    """A whole simulation; by default nothing is wrong but the noise of a common IMU.
+    """A whole simulation; by default nothing is wrong but the noise of a common IMU."""
 
-    camera: a calibration, of which lens and sensor are taken (the vehicle says where it sits);
-    gravity_off_deg: true gravity against the map's z, in a drawn direction; corners: what
-    --detections writes in place of images; along: what --along renders.
-    """
-
-    title: str = ""
-    seed: int = Field(default=0, ge=0, lt=2**63)
-    flight: FlightConfig
-    vehicle: Vehicle
-    map: MapChoice = MapChoice()
-    camera: str = "cameras/arena.yaml"
-    gravity_off_deg: float = Field(default=0.0, ge=0.0, le=30.0)
-    truth_hz: PositiveFloat = 200.0
-    imu: ImuModel = ImuModel()
-    stream: CameraStream = CameraStream()
-    calibration: CalibrationError = CalibrationError()
-    scene: SceneConfig = SceneConfig()
-    lens: LensConfig = LensConfig()
-    corners: SightingConfig = SightingConfig()
-    along: AlongConfig = AlongConfig()
+    title: str = Field(default="", description="what the flight is, in words")
+    seed: int = Field(
+        default=0,
+        ge=0,
+        lt=2**63,
+        description="what all that is drawn is drawn from; the same seed, the same log",
+    )
+    flight: FlightConfig = Field(description="which flight, and where")
+    vehicle: Vehicle = Field(
+        description="the vehicle: a name in configs/vehicles, a file, or its keys"
+    )
+    map: MapChoice = Field(default=MapChoice(), description="the map that the flight is over")
+    camera: str = Field(
+        default="cameras/arena.yaml",
+        description="file of lens and sensor; the pose of the camera is the vehicle's",
+    )
+    gravity_off_deg: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=30.0,
+        description="angle of true gravity against the map's -z, in a drawn direction [deg]",
+    )
+    truth_hz: PositiveFloat = Field(
+        default=200.0, description="rows of truth a second, in the IMU's clock [Hz]"
+    )
+    imu: ImuModel = Field(
+        default=ImuModel(), description="the IMU: what it does to true rates and forces"
+    )
+    stream: CameraStream = Field(
+        default=CameraStream(), description="frames: from the shutter to the consumer"
+    )
+    calibration: CalibrationError = Field(
+        default=CalibrationError(),
+        description="how far the log's calibration is from the rig as it is",
+    )
+    scene: SceneConfig = Field(default=SceneConfig(), description="the floor and what lies on it")
+    lens: LensConfig = Field(default=LensConfig(), description="lens, shutter and sensor")
+    corners: SightingConfig = Field(
+        default=SightingConfig(), description="what --detections writes in place of images"
+    )
+    along: AlongConfig = Field(
+        default=AlongConfig(),
+        description="which part of a flight --along gives frames, in seconds from its first truth",
+    )
 
 
 def load_scenario(name: str, assignments: Sequence[str] = ()) -> Scenario:

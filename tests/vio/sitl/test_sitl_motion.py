@@ -48,12 +48,12 @@ def test_integrals_survive_any_rate(rate):
     np.testing.assert_allclose(summed + left, whole, rtol=1e-9, atol=1e-9)
 
 
-def flown(R_BI=None, R_WG=None, seconds=10.0):
-    """A noiseless IMU of T3 and its truth, in a map that lies as R_WG says."""
-    R_WG = np.eye(3) if R_WG is None else R_WG
-    flight, _ = t3(R_WG)
+def flown(R_BI=None, R_WL=None, seconds=10.0):
+    """A noiseless IMU of T3 and its truth, in a map that lies as R_WL says."""
+    R_WL = np.eye(3) if R_WL is None else R_WL
+    flight, _ = t3(R_WL)
     t_s = np.arange(0.0, seconds, 0.005)
-    gyro, accel = true_rates(flight, t_s, -R_WG[:, 2])
+    gyro, accel = true_rates(flight, t_s, -R_WL[:, 2])
     now = flight(t_s)
     t_ns = np.round(t_s * 1e9).astype(np.int64) + T0
     truth = Truth(t_ns, now.p_WI, geo.quat_from_matrix(now.R_WI), now.v_WI)
@@ -63,8 +63,8 @@ def flown(R_BI=None, R_WG=None, seconds=10.0):
 @pytest.mark.parametrize(("heading_deg", "tilt"), [(0.0, 0.0), (60.0, 0.4), (200.0, 0.0)])
 def test_what_is_told_is_a_motion_in_ned_that_its_own_imu_integrates_to(heading_deg, tilt):
     """A strapdown on the IMU told, at 1200 Hz, ends where the motion told says it does."""
-    R_WG = geo.exp(np.array([tilt, -0.3 * tilt, 0.0]))
-    track, truth, _ = flown(R_WG=R_WG)
+    R_WL = geo.exp(np.array([tilt, -0.3 * tilt, 0.0]))
+    track, truth, _ = flown(R_WL=R_WL)
     R_BI = geo.exp(np.array([0.1, -0.2, 1.0]))
     place = placed(track, truth, np.radians(heading_deg), R_BI)
     motion = Motion(track, truth, place, np.random.default_rng(0))
@@ -81,7 +81,7 @@ def test_what_is_told_is_a_motion_in_ned_that_its_own_imu_integrates_to(heading_
     last = states[-1]
     apart = np.linalg.norm(geo.log(R.T @ geo.matrix_from_quat(last.q_NF)))
     assert np.degrees(apart) < 0.1
-    level = np.degrees(np.arccos(place.R_NW[2] @ -R_WG[:, 2] * 1.0))
+    level = np.degrees(np.arccos(place.R_NW[2] @ -R_WL[:, 2] * 1.0))
     assert level < 0.05, "level by the log's own mean of the force"
     np.testing.assert_allclose(v, last.v_N, atol=0.02)
     np.testing.assert_allclose(p, last.p_N, atol=0.05)

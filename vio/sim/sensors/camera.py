@@ -13,44 +13,61 @@ from vio.sim.sensors.pose_noise import visible, wrong_rig
 
 
 class CameraStream(Model):
-    """What happens between the shutter and the consumer.
+    """What happens between the shutter and the consumer."""
 
-    timeshift_s: t_imu = t_cam + this when the flight begins; drift_ppm: of the camera's clock
-    against true time; latency_s: range from exposure to arrival, a slow_share of frames up to
-    slow_s more; in_order: a frame waits for the one before; drop_share: frames lost one by one;
-    dropouts: times without frames, of dropout_s each, none in the first dropouts_after_s; stalls:
-    times of up to stall_s whose frames all arrive at their end.
-    """
-
-    rate_hz: PositiveFloat = 30.0
-    start_s: NonNegativeFloat = 0.1
-    timeshift_s: FiniteFloat = 0.0
-    drift_ppm: float = Field(default=0.0, ge=-1e5, le=1e5)
-    stamp_jitter_s: NonNegativeFloat = 0.0
-    latency_s: Range = (0.0, 0.0)
-    slow_share: float = Field(default=0.0, ge=0.0, le=1.0)
-    slow_s: NonNegativeFloat = 0.0
-    in_order: bool = True
-    drop_share: float = Field(default=0.0, ge=0.0, le=0.99)
-    dropouts: int = Field(default=0, ge=0, le=1000)
-    dropout_s: Range = (0.5, 3.0)
-    dropouts_after_s: NonNegativeFloat = 5.0
-    stalls: int = Field(default=0, ge=0, le=1000)
-    stall_s: PositiveFloat = 0.5
+    rate_hz: PositiveFloat = Field(default=30.0, description="frames a second [Hz]")
+    start_s: NonNegativeFloat = Field(
+        default=0.1, description="first exposure after the IMU's first sample [s]"
+    )
+    timeshift_s: FiniteFloat = Field(
+        default=0.0, description="t_imu = t_cam + this, when the flight begins [s]"
+    )
+    drift_ppm: float = Field(
+        default=0.0, ge=-1e5, le=1e5, description="what the camera's clock gains on true time [ppm]"
+    )
+    stamp_jitter_s: NonNegativeFloat = Field(default=0.0, description="sigma of its stamps [s]")
+    latency_s: Range = Field(
+        default=(0.0, 0.0), description="from exposure to a consumer, least and most [s]"
+    )
+    slow_share: float = Field(
+        default=0.0, ge=0.0, le=1.0, description="share of frames that take longer"
+    )
+    slow_s: NonNegativeFloat = Field(default=0.0, description="by how much longer at most [s]")
+    in_order: bool = Field(
+        default=True, description="a frame waits for the one before; false: it may be overtaken"
+    )
+    drop_share: float = Field(
+        default=0.0, ge=0.0, le=0.99, description="share of frames lost one by one"
+    )
+    dropouts: int = Field(default=0, ge=0, le=1000, description="how many times without frames")
+    dropout_s: Range = Field(
+        default=(0.5, 3.0), description="how long such a time is, least and most [s]"
+    )
+    dropouts_after_s: NonNegativeFloat = Field(
+        default=5.0, description="none in the first seconds [s]"
+    )
+    stalls: int = Field(
+        default=0, ge=0, le=1000, description="how many times whose frames all arrive at their end"
+    )
+    stall_s: PositiveFloat = Field(default=0.5, description="how long such a time is at most [s]")
 
 
 class CalibrationError(Model):
-    """How far the log's camchain is from the truth.
+    """How far the log's camchain is from the truth."""
 
-    rotation_deg, position_m: the camera's pose in I, by just this much in a drawn direction;
-    focal_rel, principal_px: sigmas of what is drawn; timeshift_s: true minus said.
-    """
-
-    rotation_deg: NonNegativeFloat = 0.0
-    position_m: NonNegativeFloat = 0.0
-    focal_rel: NonNegativeFloat = 0.0
-    principal_px: NonNegativeFloat = 0.0
-    timeshift_s: FiniteFloat = 0.0
+    rotation_deg: NonNegativeFloat = Field(
+        default=0.0, description="turn of the camera in I, about a drawn axis [deg]"
+    )
+    position_m: NonNegativeFloat = Field(
+        default=0.0, description="error of the camera's place in I, in a drawn direction [m]"
+    )
+    focal_rel: NonNegativeFloat = Field(
+        default=0.0, description="sigma of the focal length's error, a share"
+    )
+    principal_px: NonNegativeFloat = Field(
+        default=0.0, description="sigma of the principal point's error per axis [px]"
+    )
+    timeshift_s: FiniteFloat = Field(default=0.0, description="time shift, true minus said [s]")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,11 +16,15 @@ _ROW_STEPS = 3  # rolling shutter: times at which a corner's row is looked up an
 
 
 class SightingConfig(Model):
-    """How corners come out: sigma_px noise per axis, least side of a border, miss_share lost."""
+    """How corners come out where no images are written."""
 
-    sigma_px: NonNegativeFloat = 0.3
-    least_side_px: NonNegativeFloat = 12.0
-    miss_share: float = Field(default=0.0, ge=0.0, le=1.0)
+    sigma_px: NonNegativeFloat = Field(default=0.3, description="sigma of a corner per axis [px]")
+    least_side_px: NonNegativeFloat = Field(
+        default=12.0, description="tags smaller than this are not found [px]"
+    )
+    miss_share: float = Field(
+        default=0.0, ge=0.0, le=1.0, description="share of the tags that are missed"
+    )
 
 
 def sighted(

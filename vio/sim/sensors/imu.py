@@ -23,40 +23,83 @@ _LEAST = ImuNoise(1e-5, 0.0, 1e-6, 0.0)  # imu.yaml must give densities above ze
 class LowPass(Model):
     """A Butterworth filter within the part; stamps do not know of its delay."""
 
-    cutoff_hz: PositiveFloat
-    order: int = Field(default=2, ge=1, le=6)
+    cutoff_hz: PositiveFloat = Field(description="cut-off frequency [Hz]")
+    order: int = Field(default=2, ge=1, le=6, description="order of the filter")
 
 
 class ImuModel(Model):
-    """A part and its bus; sigmas are of what is drawn once a flight, per axis.
+    """A part and its bus; sigmas are of what is drawn once a flight, per axis."""
 
-    raw_hz: rate at which the part samples, a multiple of rate_hz; null: rate_hz itself, so that all
-    beyond half of it folds back. Quantisation steps (lsb) 0: none. stated_factor: by how much
-    the densities that imu.yaml gives exceed the part's own, where vibration is to count as noise.
-    """
-
-    rate_hz: PositiveFloat = PIXHAWK.rate_hz or 200.0
-    raw_hz: PositiveFloat | None = None
-    gyro_density: NonNegativeFloat = PIXHAWK.gyro_density
-    accel_density: NonNegativeFloat = PIXHAWK.accel_density
-    gyro_walk: NonNegativeFloat = PIXHAWK.gyro_walk
-    accel_walk: NonNegativeFloat = PIXHAWK.accel_walk
-    gyro_bias_rad_s: NonNegativeFloat = 0.0
-    accel_bias_m_s2: NonNegativeFloat = 0.0
-    gyro_scale: NonNegativeFloat = 0.0
-    accel_scale: NonNegativeFloat = 0.0
-    misalignment_deg: NonNegativeFloat = 0.0
-    vibration: NonNegativeFloat = 1.0
-    low_pass: LowPass | None = None
-    gyro_max_rad_s: PositiveFloat = 34.9
-    accel_max_m_s2: PositiveFloat = 156.9
-    gyro_lsb_rad_s: NonNegativeFloat = 0.0
-    accel_lsb_m_s2: NonNegativeFloat = 0.0
-    drift_ppm: float = Field(default=0.0, ge=-1e5, le=1e5)
-    stamp_jitter_s: NonNegativeFloat = 0.0
-    drop_share: float = Field(default=0.0, ge=0.0, le=0.9)
-    latency_s: Range = (0.0, 0.0)
-    stated_factor: PositiveFloat = 1.0
+    rate_hz: PositiveFloat = Field(
+        default=PIXHAWK.rate_hz or 200.0, description="samples a second that leave the part [Hz]"
+    )
+    raw_hz: PositiveFloat | None = Field(
+        default=None,
+        description="rate of its samples; null: rate_hz, what is beyond half of it folds back [Hz]",
+    )
+    gyro_density: NonNegativeFloat = Field(
+        default=PIXHAWK.gyro_density,
+        description="density of the gyro's white noise [rad/s/sqrt(Hz)]",
+    )
+    accel_density: NonNegativeFloat = Field(
+        default=PIXHAWK.accel_density,
+        description="density of the accelerometer's white noise [m/s^2/sqrt(Hz)]",
+    )
+    gyro_walk: NonNegativeFloat = Field(
+        default=PIXHAWK.gyro_walk, description="random walk of the gyro's bias [rad/s^2/sqrt(Hz)]"
+    )
+    accel_walk: NonNegativeFloat = Field(
+        default=PIXHAWK.accel_walk,
+        description="random walk of the accelerometer's bias [m/s^3/sqrt(Hz)]",
+    )
+    gyro_bias_rad_s: NonNegativeFloat = Field(
+        default=0.0, description="sigma of the gyro's first bias [rad/s]"
+    )
+    accel_bias_m_s2: NonNegativeFloat = Field(
+        default=0.0, description="sigma of the accelerometer's first bias [m/s^2]"
+    )
+    gyro_scale: NonNegativeFloat = Field(
+        default=0.0, description="sigma of each gyro axis's scale error"
+    )
+    accel_scale: NonNegativeFloat = Field(
+        default=0.0, description="sigma of each accelerometer axis's scale error"
+    )
+    misalignment_deg: NonNegativeFloat = Field(
+        default=0.0,
+        description="sigma of the turn of the gyro's and of the accelerometer's axes [deg]",
+    )
+    vibration: NonNegativeFloat = Field(
+        default=1.0, description="share of the vehicle's vibration that reaches the part"
+    )
+    low_pass: LowPass | None = Field(
+        default=None,
+        description="Butterworth filter within the part, unknown to stamps; null: none",
+    )
+    gyro_max_rad_s: PositiveFloat = Field(
+        default=34.9, description="where the gyro saturates [rad/s]"
+    )
+    accel_max_m_s2: PositiveFloat = Field(
+        default=156.9, description="where the accelerometer saturates [m/s^2]"
+    )
+    gyro_lsb_rad_s: NonNegativeFloat = Field(
+        default=0.0, description="the gyro's step of quantisation; 0: none [rad/s]"
+    )
+    accel_lsb_m_s2: NonNegativeFloat = Field(
+        default=0.0, description="the accelerometer's step of quantisation; 0: none [m/s^2]"
+    )
+    drift_ppm: float = Field(
+        default=0.0, ge=-1e5, le=1e5, description="what its clock gains on true time [ppm]"
+    )
+    stamp_jitter_s: NonNegativeFloat = Field(default=0.0, description="sigma of its stamps [s]")
+    drop_share: float = Field(
+        default=0.0, ge=0.0, le=0.9, description="share of samples that never come"
+    )
+    latency_s: Range = Field(
+        default=(0.0, 0.0), description="from its stamp to the consumer, least and most [s]"
+    )
+    stated_factor: PositiveFloat = Field(
+        default=1.0, description="what imu.yaml says over the densities above"
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> "ImuModel":

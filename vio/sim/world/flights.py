@@ -29,28 +29,46 @@ PLACES = {"XL": 2, "Ld": 14, "Ls1": 11, "Ls2": 18, "Lc": 16}  # tags of configs/
 
 
 class FlightConfig(Model):
-    """Which flight; keys that a flight does not name have no say in it.
+    """Which flight; keys that a flight does not name have no say in it."""
 
-    speed_m_s: its peak speed, null: as the paper's; place: T2, static; heights_m, hover_s: static;
-    yaw_deg: T2's and static's heading; middle, reach_m, swings: shuttle, to and fro by reach;
-    waypoints: t [s], x, y, z [m], yaw [deg]; takeoff: from and to the ground; margin_m: how far
-    beyond the tags the camera may stray.
-    """
-
-    name: Name
-    speed_m_s: PositiveFloat | None = None
-    place: str = "Lc"
-    places: dict[str, int] = Field(default_factory=lambda: dict(PLACES))
-    heights_m: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = (0.8, 1.4, 2.0)
-    hover_s: PositiveFloat = 10.0
-    yaw_deg: FiniteFloat = 30.0
-    middle: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (1.5, 2.5, 0.9)
-    reach_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = (0.0, 1.5, 0.0)
-    swings: PositiveFloat = 6.0
-    waypoints: tuple[Waypoint, ...] = ()
-    takeoff: bool = True
-    still_s: NonNegativeFloat = 2.0
-    margin_m: NonNegativeFloat = 0.0
+    name: Name = Field(
+        description="which: T1, T2 and T3 are the paper's; the others take the keys below"
+    )
+    speed_m_s: PositiveFloat | None = Field(
+        default=None,
+        description="peak speed; null: as the flight is, else flown faster or slower [m/s]",
+    )
+    place: str = Field(default="Lc", description="T2, static: which of the places it hovers over")
+    places: dict[str, int] = Field(
+        default_factory=lambda: dict(PLACES), description="T2, static: the tag of each place, by id"
+    )
+    heights_m: Annotated[tuple[PositiveFloat, ...], Field(min_length=1)] = Field(
+        default=(0.8, 1.4, 2.0),
+        description="static: heights of the camera, one after the other [m]",
+    )
+    hover_s: PositiveFloat = Field(default=10.0, description="static: how long at each height [s]")
+    yaw_deg: FiniteFloat = Field(default=30.0, description="T2, static: heading [deg]")
+    middle: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = Field(
+        default=(1.5, 2.5, 0.9), description="shuttle: x, y, z of its middle [m]"
+    )
+    reach_m: tuple[FiniteFloat, FiniteFloat, FiniteFloat] = Field(
+        default=(0.0, 1.5, 0.0), description="shuttle: x, y, z from there to either end [m]"
+    )
+    swings: PositiveFloat = Field(
+        default=6.0, description="shuttle: how often it goes to and fro at full reach"
+    )
+    waypoints: tuple[Waypoint, ...] = Field(
+        default=(),
+        description="waypoints: rows of t [s], x, y, z [m], yaw [deg]; corners are rounded",
+    )
+    takeoff: bool = Field(
+        default=True,
+        description="from and to the ground; false: in the air from the first moment on",
+    )
+    still_s: NonNegativeFloat = Field(default=2.0, description="on the ground before and after [s]")
+    margin_m: NonNegativeFloat = Field(
+        default=0.0, description="how far beyond the outermost tags the camera may get [m]"
+    )
 
     @model_validator(mode="after")
     def _makes_sense(self) -> "FlightConfig":

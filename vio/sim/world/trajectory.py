@@ -41,15 +41,15 @@ def smoothed(t_s: Array, p_W: Array, yaw: Array) -> BSpline:
     return make_interp_spline(grid, smooth, k=5)
 
 
-def flight(t_s: Array, p_W: Array, yaw: Array, R_WG: Array | None = None) -> Flight:
+def flight(t_s: Array, p_W: Array, yaw: Array, R_WL: Array | None = None) -> Flight:
     """A vehicle that follows commanded points (k, 3) and yaw (k,) [rad] at times (k,), smoothed.
 
-    It tilts as a multirotor must: its z along the specific force. R_WG (3, 3): a level frame in the
+    It tilts as a multirotor must: its z along the specific force. R_WL (3, 3): a level frame in the
     map, whose z is up; None: the map's z is up (points and yaw are then those of the map).
     """
     spline = smoothed(t_s, p_W, yaw)
     first, second = spline.derivative(1), spline.derivative(2)
-    turn = np.eye(3) if R_WG is None else R_WG
+    turn = np.eye(3) if R_WL is None else R_WL
 
     def at(t: Array) -> Motion:
         s, a = spline(t), second(t)[..., :3]
@@ -75,10 +75,10 @@ def t1_command() -> Command:
     return np.array(t), points, np.full(len(t), np.radians(30.0))
 
 
-def t1(R_WG: Array | None = None) -> tuple[Flight, float]:
+def t1(R_WL: Array | None = None) -> tuple[Flight, float]:
     """The flight of `t1_command` and its duration [s]."""
     command = t1_command()
-    return flight(*command, R_WG), float(command[0][-1])
+    return flight(*command, R_WL), float(command[0][-1])
 
 
 def t2_command(place: tuple[float, float] = (1.5, 2.5)) -> Command:
@@ -89,10 +89,10 @@ def t2_command(place: tuple[float, float] = (1.5, 2.5)) -> Command:
     return t, points, np.full(len(t), np.radians(30.0))
 
 
-def t2(R_WG: Array | None = None) -> tuple[Flight, float]:
+def t2(R_WL: Array | None = None) -> tuple[Flight, float]:
     """The flight of `t2_command` and its duration [s]."""
     command = t2_command()
-    return flight(*command, R_WG), float(command[0][-1])
+    return flight(*command, R_WL), float(command[0][-1])
 
 
 def t3_waypoints() -> Array:
@@ -124,9 +124,9 @@ def t3_command() -> Command:
     return t, command[:, :3], command[:, 3]
 
 
-def t3(R_WG: Array | None = None) -> tuple[Flight, float]:
+def t3(R_WL: Array | None = None) -> tuple[Flight, float]:
     """The flight of `t3_command` and its duration [s]."""
-    return flight(*t3_command(), R_WG), _T3_SECONDS
+    return flight(*t3_command(), R_WL), _T3_SECONDS
 
 
 def circle(speed_m_s: float, rng: np.random.Generator) -> tuple[Flight, float]:

@@ -26,42 +26,65 @@ Band = Annotated[tuple[PositiveFloat, PositiveFloat], AfterValidator(_band)]
 class Shake(Model):
     """How far a hovering vehicle strays from its command, rms per axis, and in which band."""
 
-    position_m: NonNegativeFloat = 0.0
-    position_hz: Band = (0.1, 0.8)
-    attitude_deg: NonNegativeFloat = 0.0
-    attitude_hz: Band = (1.0, 8.0)
+    position_m: NonNegativeFloat = Field(default=0.0, description="rms of position per axis [m]")
+    position_hz: Band = Field(default=(0.1, 0.8), description="band of it, from and to [Hz]")
+    attitude_deg: NonNegativeFloat = Field(
+        default=0.0, description="rms of attitude per axis [deg]"
+    )
+    attitude_hz: Band = Field(default=(1.0, 8.0), description="band of it, from and to [Hz]")
 
 
 class Harmonic(Model):
     """Vibration at `order` times the rotors' turns: amplitudes of the sum over all rotors."""
 
-    order: PositiveFloat
-    accel_m_s2: NonNegativeFloat
-    gyro_rad_s: NonNegativeFloat
+    order: PositiveFloat = Field(description="multiple of the rotors' turns")
+    accel_m_s2: NonNegativeFloat = Field(description="amplitude of the acceleration [m/s^2]")
+    gyro_rad_s: NonNegativeFloat = Field(description="amplitude of the rate [rad/s]")
 
 
 class Rotors(Model):
     """Turns per second in hover, the spread between rotors and the slow wander of each (shares)."""
 
-    count: int = Field(default=4, ge=1, le=16)
-    hz: PositiveFloat = 100.0
-    spread: NonNegativeFloat = Field(default=0.02, le=0.5)
-    wander: NonNegativeFloat = Field(default=0.01, le=0.5)
-    harmonics: tuple[Harmonic, ...] = ()
+    count: int = Field(default=4, ge=1, le=16, description="number of rotors")
+    hz: PositiveFloat = Field(default=100.0, description="turns a second in hover [Hz]")
+    spread: NonNegativeFloat = Field(
+        default=0.02,
+        le=0.5,
+        description="share by which a rotor is faster or slower than that at most",
+    )
+    wander: NonNegativeFloat = Field(
+        default=0.01, le=0.5, description="share by which each swings once or so a second"
+    )
+    harmonics: tuple[Harmonic, ...] = Field(
+        default=(), description="waves at multiples of the turns; amplitudes of all rotors together"
+    )
 
 
 class Vehicle(Model):
     """One vehicle; lengths in I (x forward, y left, z up), the camera looking down."""
 
-    name: str
-    camera_p_I: Numbers3
-    camera_rpy_deg: Numbers3 = (0.0, 0.0, 0.0)
-    size_m: PositiveFloat = 0.3
-    clearance_m: PositiveFloat = 0.12
-    drag_per_s: NonNegativeFloat = 0.0
-    max_tilt_deg: float = Field(default=60.0, gt=0.0, lt=90.0)
-    shake: Shake = Shake()
-    rotors: Rotors = Rotors()
+    name: str = Field(description="what it is called")
+    camera_p_I: Numbers3 = Field(description="place of the camera in I [m]")
+    camera_rpy_deg: Numbers3 = Field(
+        default=(0.0, 0.0, 0.0),
+        description="turn of the camera from straight down, image top ahead [deg]",
+    )
+    size_m: PositiveFloat = Field(
+        default=0.3, description="across, propellers included: the size of its shadow [m]"
+    )
+    clearance_m: PositiveFloat = Field(
+        default=0.12, description="height of I above the ground where it stands [m]"
+    )
+    drag_per_s: NonNegativeFloat = Field(
+        default=0.0, description="rotor drag: deceleration per speed [1/s]"
+    )
+    max_tilt_deg: float = Field(
+        default=60.0, gt=0.0, lt=90.0, description="a flight that needs more tilt is refused [deg]"
+    )
+    shake: Shake = Field(
+        default=Shake(), description="how far it strays in flight from its command"
+    )
+    rotors: Rotors = Field(default=Rotors(), description="what vibrates")
 
 
 def mount(vehicle: Vehicle) -> tuple[Array, Array]:
