@@ -121,23 +121,25 @@ def translation(R_CT: Array, X: Array, corners_n: Array, p_CT: Array) -> None:
     p_CT[0], p_CT[1], p_CT[2] = 0.25 * (v0 + sx * z), 0.25 * (v1 + sy * z), z
 
 
+class _Corners(NamedTuple):
+    """Corners of a tag: X (4, 3) in T, x_n (4, 2), J_px_n (4, 2, 2), w (4,) = 1 / sigma_px."""
+
+    X: Array
+    x_n: Array
+    J_px_n: Array
+    w: Array
+
+
 @bare
 def _normal_equations(
-    R: Array,
-    p: Array,
-    X: Array,
-    x_n: Array,
-    J_px_n: Array,
-    w: Array,
-    H: Array,
-    g: Array,
-    work: _Work,
+    R: Array, p: Array, seen: _Corners, H: Array, g: Array, work: _Work
 ) -> tuple[float, float]:
     """Information H (6, 6), gradient g (6,); returns whitened cost and sum of squares [px^2].
 
     The costs are infinite where a corner is not in front of the camera.
     """
     r, J = work.r, work.J
+    X, x_n, J_px_n, w = seen
     front = projection.residual(R, p, X, x_n, J_px_n, r, work.A, work.x_C)
     projection.tag_jacobian(work.A, R, X, J)
     cost, square = 0.0, 0.0
@@ -186,27 +188,17 @@ def _step(R: Array, p: Array, H: Array, work: _Work) -> bool:
 
 
 @njit
-def _refine(
-    R: Array,
-    p: Array,
-    X: Array,
-    x_n: Array,
-    J_px_n: Array,
-    w: Array,
-    steps: int,
-    H: Array,
-    work: _Work,
-) -> float:
+def _refine(R: Array, p: Array, seen: _Corners, steps: int, H: Array, work: _Work) -> float:
     """Gauss-Newton steps on R, p in place while they lower the cost; H (6, 6) at the end.
 
     Returns the sum of squared residuals [px^2].
     """
-    cost, square = _normal_equations(R, p, X, x_n, J_px_n, w, H, work.g, work)
+    cost, square = _normal_equations(R, p, seen, H, work.g, work)
     for _ in range(steps):
         if not _step(R, p, H, work):
             break
         cost_new, square_new = _normal_equations(
-            work.R_new, work.p_new, X, x_n, J_px_n, w, work.H_new, work.g_new, work
+            work.R_new, work.p_new, seen, work.H_new, work.g_new, work
         )
         if not cost_new < cost:
             break
@@ -237,9 +229,10 @@ def _solve_all(
         ippe_rotations(centre, J, R_s, small)
         for c in range(4):
             w[c] = 1.0 / sigma_px[i, c]
+        seen = _Corners(X[i], x_n[i], J_px_n[i], w)
         for s in range(2):
             translation(R_s[s], X[i], x_n[i], p_s[s])
-            square[s] = _refine(R_s[s], p_s[s], X[i], x_n[i], J_px_n[i], w, steps, H[s], work)
+            square[s] = _refine(R_s[s], p_s[s], seen, steps, H[s], work)
         first = 0 if square[0] <= square[1] else 1
         for s in range(2):
             k = first if s == 0 else 1 - first

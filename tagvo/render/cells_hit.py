@@ -123,7 +123,7 @@ def trace_row(rays: Array32, y: int, first: int, last: int, H: Array32, trace: A
             v1[k] = v[k] if v[k] > v1[k] else v1[k]
             seen[k] = d[k] if d[k] < seen[k] else seen[k]
     for axis in range(3):
-        _slope(rays, y, first, last, H[points // 2], axis, trace, POINTS + points // 2, points)
+        _slope(rays, y, first, last, H, axis, trace)
     for axis in range(2):
         by_x, by_y = trace[UX + 2 * axis, first:last], trace[UY + 2 * axis, first:last]
         low, high = trace[U0 + 2 * axis, first:last], trace[U1 + 2 * axis, first:last]
@@ -135,18 +135,11 @@ def trace_row(rays: Array32, y: int, first: int, last: int, H: Array32, trace: A
 
 @bare
 def _slope(
-    rays: Array32,
-    y: int,
-    first: int,
-    last: int,
-    h: Array32,
-    axis: int,
-    trace: Array32,
-    at: int,
-    points: int,
+    rays: Array32, y: int, first: int, last: int, H: Array32, axis: int, trace: Array32
 ) -> None:
-    """Slopes of column, row or depth (axis 0, 1, 2) by a pixel, where the values are in row `at`
-    and every `points` rows after."""
+    """Slopes of column, row or depth (axis 0, 1, 2) by a pixel, at the middle of the points."""
+    points = H.shape[0]
+    h, at = H[points // 2], POINTS + points // 2
     ax, ay = rays[y, 2, first:last], rays[y, 3, first:last]
     bx, by = rays[y, 4, first:last], rays[y, 5, first:last]
     by_x, by_y = trace[UX + 2 * axis, first:last], trace[UY + 2 * axis, first:last]

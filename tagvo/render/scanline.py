@@ -88,6 +88,14 @@ class _Work(NamedTuple):
     place: NDArray[np.uint32]
 
 
+class _Line(NamedTuple):
+    """Row y of the rays (h, 6, w), and the middle of its exposure [knots]."""
+
+    rays: Array32
+    y: int
+    at: float
+
+
 @njit
 def _scan(scene: Surfaces, i: int, pixels: _Row, work: _Work) -> int:
     """Bring surface i into the traced pixels of a row where it is one colour; list the others.
@@ -132,17 +140,10 @@ def _scan(scene: Surfaces, i: int, pixels: _Row, work: _Work) -> int:
 
 @njit
 def _mix(
-    scene: Surfaces,
-    i: int,
-    rays: Array32,
-    y: int,
-    at: float,
-    listed: int,
-    samples: Samples,
-    pixels: _Row,
-    work: _Work,
+    scene: Surfaces, i: int, line: _Line, listed: int, samples: Samples, pixels: _Row, work: _Work
 ) -> None:
     """Bring surface i into its listed pixels, sample by sample, the nearest surface first."""
+    rays, y, at = line
     n, first, kind, cells = scene.across[i], scene.first[i], scene.kind[i], scene.cells
     trace, todo, cell, place = work.trace, work.todo, work.at, work.place
     ink, d, outline = work.ink, work.depth, scene.outline[i]
@@ -233,7 +234,7 @@ def paint(
             if poses_of(scene.H, i, samples.time, row_time[y], work.H):
                 trace_row(rays, y, scene.box[i, 0], scene.box[i, 1], work.H, work.trace)
                 listed = _scan(scene, i, pixels, work)
-                _mix(scene, i, rays, y, row_time[y], listed, samples, pixels, work)
+                _mix(scene, i, _Line(rays, y, row_time[y]), listed, samples, pixels, work)
         for x in range(width):
             if pixels.who[x] == _MIXED:
                 albedo[y, x], bare[y, x] = _mean_of(pixels.codes, words, x, n, grey)

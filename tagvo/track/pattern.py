@@ -4,6 +4,7 @@ The unit square is the tag's border: corner TL at (0, 0), BR at (1, 1).
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from tagvo.kernels.jit import bare, leaf
 from tagvo.kernels.linalg import cholesky
 from tagvo.track.predict import to_pixel
 from tagvo.track.side_fit import grey
-from tagvo.track.tag_model import Cells, Gray, Lens
+from tagvo.track.tag_model import Cells, Gray, Lens, Limits, MapArrays
 
 _MIN_SEEN = 0.6  # share of the promised cells that must lie in the image
 _CLEAR = 0.15  # share of the contrast by which a cell must be on its side of the threshold
@@ -22,6 +23,20 @@ _ACROSS_PX = 1.2  # how far on either side of an inner edge the light is looked 
 _OFF = 0.75  # mean response of inner edges, 0 aligned, 1 off by 1.2 px or more
 _FEW_EDGES = 4.0  # below, a mean says nothing
 _TOP, _NEAR_BEST = 2, 0.15  # steps around the best correlation, and how much worse is as good
+
+
+class PatternScratch(NamedTuple):
+    """What `is_there` and `find_pattern` write on.
+
+    light (c, c), small (8, 4); at (c * c, 3), score (k, k), where k bounds the steps; shift (2,)
+    [px]: the answer of `find_pattern`.
+    """
+
+    light: Array
+    small: Array
+    at: Array
+    score: Array
+    shift: Array
 
 
 @bare
@@ -213,13 +228,14 @@ def _around(image: Gray, H: Array, axis: int, place: Point) -> float:
 
 @bare
 def is_there(
-    image: Gray, lens: Lens, quad_n: Array, cells: Cells, border: int, cell_px: float,
-    min_contrast: float, max_errors: int, light: Array, small: Array,
+    image: Gray, lens: Lens, quad_n: Array, tags: MapArrays, i: int, cell_px: float,
+    limits: Limits, scratch: PatternScratch,
 ) -> tuple[int, float]:  # fmt: skip
-    """Wrong cells and margin of the tag in a quad (4, 2) [normalised]; -1: it is not this tag.
+    """Wrong cells and margin of tag i in a quad (4, 2) [normalised]; -1: it is not this tag.
 
-    cell_px: width of a cell; light (c, c), small (8, 4): scratch.
+    cell_px: width of a cell.
     """
+    cells, border, light, small = tags.cells[i], tags.border, scratch.light, scratch.small
     H, model, A = small[:3, :3], small[3], small[4:]
     if not unit_square(quad_n, H):
         return -1, 0.0
@@ -230,10 +246,10 @@ def is_there(
     seen = cell_light(image, lens, H, cells, border, _reach(cell_px), light)
     if seen < _MIN_SEEN * promised or not fit_light(light, cells, model, A):
         return -1, 0.0
-    if model[3] < 0.5 * min_contrast:
+    if model[3] < 0.5 * limits.min_contrast:
         return -1, 0.0
     wrong, margin = wrong_cells(light, cells, model)
-    allowed = max_errors if seen == promised else 0
+    allowed = limits.max_errors if seen == promised else 0
     if wrong > allowed or inner_edges_off(image, lens, H, cells, border, model) > _OFF:
         return -1, 0.0
     return wrong, margin
@@ -247,17 +263,18 @@ def _reach(cell_px: float) -> float:
 
 @bare
 def find_pattern(
-    image: Gray, lens: Lens, quad_n: Array, cells: Cells, border: int, step: float, radius: float,
-    shift: Array, at: Array, score: Array, small: Array,
+    image: Gray, lens: Lens, quad_n: Array, tags: MapArrays, i_tag: int, step: float,
+    radius: float, scratch: PatternScratch,
 ) -> float:  # fmt: skip
-    """Where the print is, shifted in the image, by the correlation of its cells; -> the best one.
+    """Where a tag's print is, shifted in the image, by the correlation of its cells; -> the best.
 
     quad_n (4, 2): predicted corners; all shifts within `radius` [px] at this step [px], each cell
-    by the nearest pixel to its centre; shift (2,) [px] receives the best, the middle of those
-    nearly as good around it. at (c * c, 3), score (k, k), small (8, 4): scratch; k bounds the
-    steps.
+    by the nearest pixel to its centre; scratch.shift receives the best, the middle of those nearly
+    as good around it.
     """
-    c, H = len(cells), small[:3, :3]
+    cells, border = tags.cells[i_tag], tags.border
+    at, score, shift = scratch.at, scratch.score, scratch.shift
+    c, H = len(cells), scratch.small[:3, :3]
     shift[:] = 0.0
     if not unit_square(quad_n, H):
         return -1.0

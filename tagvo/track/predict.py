@@ -8,11 +8,11 @@ import math
 import numpy as np
 
 from tagvo.camera.model import Point, distort_point
-from tagvo.geometry import Array, IntArray
+from tagvo.geometry import Array
 from tagvo.kernels.jit import bare, leaf, njit
 from tagvo.kernels.linalg import inverse_spd
 from tagvo.kernels.so3 import rotated
-from tagvo.track.tag_model import FLAT, Lens, MapArrays
+from tagvo.track.tag_model import FLAT, Belief, Lens, MapArrays, TrackedTags
 
 _NEAR = 0.02  # [m] along z of C
 _MIN_COSINE = 0.15  # a tag seen flatter than 81 deg is not worth a look
@@ -171,15 +171,17 @@ def inside(quad_px: Array, lens: Lens, margin: float) -> bool:
 
 @njit
 def posterior(
-    R0: Array, p0: Array, P0: Array, tags: MapArrays, lens: Lens, rows: IntArray, count: int,
-    corners_px: Array, sigma_px: Array, R_WC: Array, p_WC: Array, P: Array, chi: Array,
+    prior: Belief, tags: MapArrays, lens: Lens, found: TrackedTags, count: int, out: Belief,
+    chi: Array,
 ) -> bool:  # fmt: skip
-    """The pose by a prior (R0, p0, P0) and the corners of tags, robust against a few wrong tags.
+    """The pose by a prior and the corners of `count` tags, robust against a few wrong tags.
 
-    rows (count,), corners_px (count, 4, 2), sigma_px (count, 4). Writes R_WC, p_WC, P (6, 6) and
-    chi (count,): rms of each tag's residual over its sigma, laying included. Gauss-Newton on the
-    posterior with Huber's weight a tag; False: nothing positive to invert.
+    Writes out and chi (count,): rms of each tag's residual over its sigma, laying included.
+    Gauss-Newton on the posterior with Huber's weight a tag; False: nothing positive to invert.
     """
+    R_WC, p_WC, P = out
+    R0, p0, P0 = prior
+    rows, corners_px, sigma_px = found.rows, found.corners_px, found.sigma_px
     info, H, b = np.empty((6, 6)), np.empty((6, 6)), np.empty((6, 1))
     quad_n, quad_px, J = np.empty((4, 2)), np.empty((4, 2)), np.empty((4, 2, 6))
     xi = np.zeros(6)

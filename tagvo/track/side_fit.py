@@ -6,6 +6,7 @@ clockwise in the image, so that its outward normal is on its left.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,45 @@ _PIECE_PX = 60.0  # of a side that a cubic and one normal are good for
 _INDEPENDENT_PX = 1.5  # scans nearer to one another than this see the same noise
 
 
+class Ray(NamedTuple):
+    """A pixel u, v and the unit normal nu, nv of the side that passes it."""
+
+    u: float
+    v: float
+    nu: float
+    nv: float
+
+
+class Side(NamedTuple):
+    """The predicted corners a, b (2,) [normalised] of a side, and `to_pixel` of them (6,)."""
+
+    a: Array
+    b: Array
+    at_a: Array
+    at_b: Array
+
+
+class SideSearch(NamedTuple):
+    """How a side is looked for: within `band` [px] to either side, by so many scans.
+
+    pitch: between samples [px]; wide: the side is not yet known well; sharp: the band holds its
+    whole edge and no other.
+    """
+
+    band: float
+    scans: int
+    pitch: float
+    wide: bool
+    sharp: bool
+
+
+class SideScratch(NamedTuple):
+    """What `fit_side` writes on: work (WORK, MAX_STEPS), good (MAX_SCANS,)."""
+
+    work: Array
+    good: BoolArray
+
+
 @leaf
 def grey(image: Gray, u: float, v: float) -> float:
     """Bilinear grey value at a pixel that lies inside the image by one pixel at least."""
@@ -36,11 +76,9 @@ def grey(image: Gray, u: float, v: float) -> float:
 
 
 @leaf
-def _profile(
-    image: Gray, u: float, v: float, nu: float, nv: float, band: float, steps: int,
-    sense: float, seen: Array,
-) -> bool:  # fmt: skip
+def _profile(image: Gray, ray: Ray, band: float, steps: int, sense: float, seen: Array) -> bool:
     """Grey steps in the edge's own sense along the normal, from -band to +band, into seen."""
+    u, v, nu, nv = ray
     h, w = image.shape
     eu, ev = abs(nu) * band + 1.0, abs(nv) * band + 1.0
     if not (eu <= u < w - 1.0 - eu and ev <= v < h - 1.0 - ev):
@@ -222,18 +260,18 @@ def _robust_line(
 
 @bare
 def fit_side(
-    image: Gray, lens: Lens, a: Array, b: Array, at_a: Array, at_b: Array, sense: float,
-    band: float, scans: int, pitch: float, wide: bool, sharp: bool, line: Array, work: Array,
-    good: BoolArray,
+    image: Gray, lens: Lens, side: Side, sense: float, search: SideSearch, line: Array,
+    scratch: SideScratch,
 ) -> bool:  # fmt: skip
-    """One side between its predicted corners a, b (2,) [normalised] -> line (7,).
+    """One side about where it is predicted -> line (7,).
 
-    at_a, at_b (6,): `to_pixel` of the corners. line: perpendicular offset of the edge at a and at b
-    [normalised], rms of the scans from it [px], spread of the edge [px], step [grey], pixels a
-    normalised unit across it, share of the scans that agree. wide: the side is not yet known well;
-    sharp: the band holds its whole edge and no other. work (WORK, MAX_STEPS), good (MAX_SCANS,):
-    scratch. False: there is no such edge within the band.
+    line: perpendicular offset of the edge at a and at b [normalised], rms of the scans from it
+    [px], spread of the edge [px], step [grey], pixels a normalised unit across it, share of the
+    scans that agree. False: there is no such edge within the band.
     """
+    a, b, at_a, at_b = side
+    band, scans, pitch, wide, sharp = search
+    work, good = scratch
     t, e, spread, rise, scale, left = work[0], work[1], work[2], work[3], work[4], work[7]
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = math.sqrt(dx * dx + dy * dy)
@@ -266,7 +304,7 @@ def fit_side(
             first, r = k + 1, s * pieces - (piece - 1)
             u, v = u0 + r * (mu0 + r * (qu2 + r * qu3)), v0 + r * (mv0 + r * (qv2 + r * qv3))
             e[k], spread[k], rise[k] = _scan(
-                image, u, v, nu, nv, band, pitch, sense, sharp and not wide, work[5]
+                image, Ray(u, v, nu, nv), band, pitch, sense, sharp and not wide, work[5]
             )
             t[k], scale[k], good[k] = s + e[k] * along, unit, rise[k] >= _MIN_STEP
         u0, v0, ux0, uy0, vx0, vy0 = u1, v1, ux1, uy1, vx1, vy1
@@ -284,12 +322,11 @@ def fit_side(
 
 @leaf
 def _scan(
-    image: Gray, u: float, v: float, nu: float, nv: float, band: float, pitch: float, sense: float,
-    fine: bool, seen: Array,
-) -> tuple[float, float, float]:  # fmt: skip
+    image: Gray, ray: Ray, band: float, pitch: float, sense: float, fine: bool, seen: Array
+) -> tuple[float, float, float]:
     """Place, spread and step of the edge along the normal through a pixel; seen: scratch."""
     steps = min(MAX_STEPS, max(4, int(2.0 * band / pitch) + 1))
-    if not _profile(image, u, v, nu, nv, band, steps, sense, seen):
+    if not _profile(image, ray, band, steps, sense, seen):
         return 0.0, 0.0, 0.0
     return _fine_edge(seen, steps, band) if fine else _rough_edge(seen, steps, band)
 

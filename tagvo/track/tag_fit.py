@@ -8,12 +8,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tagvo.geometry import Array, BoolArray
+from tagvo.geometry import Array
 from tagvo.kernels.jit import bare, leaf, njit
-from tagvo.track.pattern import find_pattern, is_there
+from tagvo.track.pattern import PatternScratch, find_pattern, is_there
 from tagvo.track.predict import extent, to_pixel
-from tagvo.track.side_fit import MAX_SCANS, MAX_STEPS, WORK, cross_sides, fit_side, line_variance
-from tagvo.track.tag_model import FLAT, Gray, Lens, MapArrays
+from tagvo.track.side_fit import (
+    MAX_SCANS,
+    MAX_STEPS,
+    WORK,
+    Side,
+    SideScratch,
+    SideSearch,
+    cross_sides,
+    fit_side,
+    line_variance,
+)
+from tagvo.track.tag_model import FLAT, Foreseen, Gray, Lens, Task, TrackedTags
 
 # what became of a tag that was tried
 TRACKED, NO_PATTERN, NO_EDGE, MOVED, NOT_IT, OUTLIER = 0, 1, 2, 3, 4, 5
@@ -27,6 +37,7 @@ _SCAN_PX, _SETTLED_PX = 1.5, 0.4  # between scans of the last rounds; what makes
 _BLURRED_PX = 0.6  # spread of an edge from which neighbouring edges bleed into its ends
 _STRAIGHT_PX = 40.0  # sides up to this bend by less than a tenth of a pixel in any usual lens
 _MIN_CORRELATION = 0.55
+START, WAS, OUT = 0, 1, 2  # of Scratch.corners
 _SHARP_PX = 0.55  # spread of a sharp edge, as in `tagvo.detect.blur`
 _BLEED = 10.5  # systematic error of a blurred corner, as there
 _UNSURE_PX, _UNLIKE = 0.3, 6.0  # of a side: sigma, and over its opposite's, that make it doubtful
@@ -36,25 +47,16 @@ _FLOOR_PX = 0.03  # of a fitted corner: what no residual shows
 class Scratch(NamedTuple):
     """What the kernels write on, of one thread.
 
-    scans (WORK, MAX_STEPS), good (MAX_SCANS,): of `fit_side`; lines (4, 7), widths (4,): of a tag's
-    sides; nodes (4, 6): `to_pixel` of its corners; start, was, out (4, 2): corners; light (c, c),
-    small (8, 4): of `is_there`; at (c * c, 3), score (k, k), shift (2,): of `find_pattern`; J
-    (4, 2, 6), spread (4, 3): of a prediction.
+    lines (4, 7), widths (4,): of a tag's sides; nodes (4, 6): `to_pixel` of its corners; corners
+    (3, 4, 2): where they began, were, came out; J (4, 2, 6), spread (4, 3): of a prediction.
     """
 
-    scans: Array
-    good: BoolArray
+    sides: SideScratch
+    pattern: PatternScratch
     lines: Array
     widths: Array
     nodes: Array
-    start: Array
-    was: Array
-    out: Array
-    light: Array
-    small: Array
-    at: Array
-    score: Array
-    shift: Array
+    corners: Array
     J: Array
     spread: Array
 
@@ -63,49 +65,38 @@ class Scratch(NamedTuple):
 def scratch(c: int, max_sigma_px: float) -> Scratch:
     """Scratch for tags of c by c cells, predicted to a sigma."""
     k = 2 * math.ceil(_SIGMAS * max_sigma_px + _SLACK_PX + 2.0) + 3
+    sides = SideScratch(np.empty((WORK, MAX_STEPS)), np.empty(MAX_SCANS, dtype=np.bool_))
+    pattern = PatternScratch(
+        np.empty((c, c)), np.empty((8, 4)), np.empty((c * c, 3)), np.empty((k, k)), np.empty(2)
+    )
     return Scratch(
-        np.empty((WORK, MAX_STEPS)), np.empty(MAX_SCANS, dtype=np.bool_), np.empty((4, 7)),
-        np.empty(4), np.empty((4, 6)), np.empty((4, 2)), np.empty((4, 2)), np.empty((4, 2)),
-        np.empty((c, c)), np.empty((8, 4)), np.empty((c * c, 3)), np.empty((k, k)), np.empty(2),
+        sides, pattern, np.empty((4, 7)), np.empty(4), np.empty((4, 6)), np.empty((3, 4, 2)),
         np.empty((4, 2, 6)), np.empty((4, 3)),
     )  # fmt: skip
 
 
 @bare
 def _fit_round(
-    image: Gray, lens: Lens, sense: float, quad_n: Array, most: float, scans: int, pitch: float,
-    wide: bool, s: Scratch,
-) -> bool:  # fmt: skip
-    """All four sides once about quad_n (4, 2): s.lines, new corners s.out.
+    image: Gray, lens: Lens, sense: float, quad_n: Array, search: SideSearch, s: Scratch
+) -> bool:
+    """All four sides once about quad_n (4, 2): s.lines, new corners s.corners[OUT].
 
-    wide: search within `most` [px]; else within as much as the width of the edge asks, s.widths
+    search.wide: within its band [px]; else within as much as the width of the edge asks, s.widths
     [px], but no more. s.nodes: `to_pixel` of quad_n.
     """
-    lines, widths, out, nodes = s.lines, s.widths, s.out, s.nodes
+    lines, nodes = s.lines, s.nodes
     for k in range(4):
-        a, b, band = quad_n[k], quad_n[(k + 1) % 4], most
-        sharp = not wide and widths[k] < _BLURRED_PX
-        if not wide:
-            band = min(max(2.5 * widths[k] + 0.6, 1.8), most)
-        if not fit_side(
-            image,
-            lens,
-            a,
-            b,
-            nodes[k],
-            nodes[(k + 1) % 4],
-            sense,
-            band,
-            scans,
-            pitch,
-            wide,
-            sharp,
-            lines[k],
-            s.scans,
-            s.good,
-        ):
+        band, sharp = search.band, False
+        if not search.wide:
+            width = s.widths[k]
+            sharp = width < _BLURRED_PX
+            band = min(max(2.5 * width + 0.6, 1.8), band)
+        after = (k + 1) % 4
+        side = Side(quad_n[k], quad_n[after], nodes[k], nodes[after])
+        how = SideSearch(band, search.scans, search.pitch, search.wide, sharp)
+        if not fit_side(image, lens, side, sense, how, lines[k], s.sides):
             return False
-    return cross_sides(quad_n, lines, out)
+    return cross_sides(quad_n, lines, s.corners[OUT])
 
 
 @leaf
@@ -174,81 +165,77 @@ def _side_variance(line: Array, a: Array, b: Array, cell_px: float) -> float:
 
 
 @bare
-def track_tag(
-    image: Gray, tags: MapArrays, i: int, lens: Lens, quad_n: Array, cell_px: float,
-    sigma_px: float, limits: Array, quad_px: Array, corner_sigma: Array, s: Scratch,
-) -> tuple[int, int, float]:  # fmt: skip
-    """Find tag i about its predicted corners quad_n (4, 2), which are moved to where it is.
+def track_tag(task: Task, i: int, expected: Foreseen, out: TrackedTags, k: int, s: Scratch) -> int:
+    """Find tag i about its predicted corners, which are moved to where it is; -> its fate.
 
-    cell_px: width of a cell; sigma_px: of the prediction; limits: [min_contrast, max_errors].
-    Writes quad_px (4, 2) and corner_sigma (4,); -> its fate, wrong cells, margin.
+    Writes corners, sigma, wrong cells and margin of place k of out.
     """
-    band = _SIGMAS * sigma_px + _SLACK_PX
-    _put(quad_n, s.start)
+    quad_n, quad_px, cell_px = expected.quads_n[i], out.corners_px[k], expected.cell_px[i]
+    band = _SIGMAS * expected.sigma_px[i] + _SLACK_PX
+    start = s.corners[START]
+    _put(quad_n, start)
     fate, wrong, margin = NO_EDGE, 0, 0.0
     if band <= _NEARLY_SAFE * cell_px:
         reach = min(band, max(_SAFE * cell_px, 1.5))
-        fate = _fit_tag(image, tags.sense, lens, quad_n, cell_px, reach, quad_px, s)
+        fate = _fit_tag(task, quad_n, cell_px, reach, quad_px, s)
         if fate == TRACKED:
-            wrong, margin = _check(image, tags, i, lens, quad_n, quad_px, cell_px, limits, s)
+            wrong, margin = _check(task, i, quad_n, quad_px, cell_px, s)
             fate = NOT_IT if wrong < 0 else TRACKED
     if fate != TRACKED and band > _SAFE * cell_px:
-        _put(s.start, quad_n)
-        fate = _by_pattern(image, tags, i, lens, quad_n, cell_px, band, quad_px, s)
+        _put(start, quad_n)
+        fate = _by_pattern(task, i, quad_n, cell_px, band, quad_px, s)
         if fate == TRACKED:
-            wrong, margin = _check(image, tags, i, lens, quad_n, quad_px, cell_px, limits, s)
+            wrong, margin = _check(task, i, quad_n, quad_px, cell_px, s)
             fate = NOT_IT if wrong < 0 else TRACKED
     if fate == TRACKED and not _sides_alike(s.lines, quad_px, cell_px):
         fate = NO_EDGE
     if fate == TRACKED:
-        _corner_sigmas(s.lines, quad_px, cell_px, corner_sigma)
-    return fate, max(wrong, 0), margin
+        _corner_sigmas(s.lines, quad_px, cell_px, out.sigma_px[k])
+    out.wrong[k], out.margin[k] = max(wrong, 0), margin
+    return fate
 
 
 @bare
 def _by_pattern(
-    image: Gray, tags: MapArrays, i: int, lens: Lens, quad_n: Array, cell_px: float, band: float,
-    quad_px: Array, s: Scratch,
-) -> int:  # fmt: skip
+    task: Task, i: int, quad_n: Array, cell_px: float, band: float, quad_px: Array, s: Scratch
+) -> int:
     """As `_fit_tag`, about where the correlation of the cells puts the tag."""
-    shift, step = s.shift, max(0.4 * cell_px, 1.0)
-    found = find_pattern(
-        image, lens, quad_n, tags.cells[i], tags.border, step, band + step, shift, s.at, s.score,
-        s.small,
-    )  # fmt: skip
+    step = max(0.4 * cell_px, 1.0)
+    found = find_pattern(task.image, task.lens, quad_n, task.tags, i, step, band + step, s.pattern)
     if found < _MIN_CORRELATION:
         return NO_PATTERN
-    _shifted(lens, quad_n, shift)
-    reach = max(0.6 * cell_px, 1.5)
-    return _fit_tag(image, tags.sense, lens, quad_n, cell_px, reach, quad_px, s)
+    _shifted(task.lens, quad_n, s.pattern.shift)
+    return _fit_tag(task, quad_n, cell_px, max(0.6 * cell_px, 1.5), quad_px, s)
 
 
 @bare
 def _fit_tag(
-    image: Gray, sense: float, lens: Lens, quad_n: Array, cell_px: float, band: float,
-    quad_px: Array, s: Scratch,
-) -> int:  # fmt: skip
+    task: Task, quad_n: Array, cell_px: float, band: float, quad_px: Array, s: Scratch
+) -> int:
     """Fit the sides about quad_n, first within `band` [px], then as narrow as the blur allows."""
+    image, lens, sense = task.image, task.lens, task.tags.sense
+    was, out = s.corners[WAS], s.corners[OUT]
     _to_pixels(lens, quad_n, s.nodes)
-    _put(s.nodes, s.was)
-    if not _fit_round(image, lens, sense, quad_n, band, 8, 0.8, True, s):
+    _put(s.nodes, was)
+    if not _fit_round(image, lens, sense, quad_n, SideSearch(band, 8, 0.8, True, False), s):
         return NO_EDGE
-    _put(s.out, quad_n)
+    _put(out, quad_n)
     for k in range(4):
         s.widths[k] = s.lines[k, 3]
     most = max(0.85 * cell_px, 1.5)
-    scans = min(max(int(0.76 * extent(s.was)[0] / _SCAN_PX), 8), MAX_SCANS)
+    scans = min(max(int(0.76 * extent(was)[0] / _SCAN_PX), 8), MAX_SCANS)
     _to_pixels(lens, quad_n, s.nodes)
+    narrow = SideSearch(most, scans, 0.6, False, False)
     for _ in range(3):
-        if not _fit_round(image, lens, sense, quad_n, most, scans, 0.6, False, s):
+        if not _fit_round(image, lens, sense, quad_n, narrow, s):
             return NO_EDGE
-        _put(s.out, quad_n)
+        _put(out, quad_n)
         _to_pixels(lens, quad_n, s.nodes)
         if _farthest(s.lines) < _SETTLED_PX:
             break
     _put(s.nodes, quad_px)
     for c in range(4):
-        moved = math.hypot(quad_px[c, 0] - s.was[c, 0], quad_px[c, 1] - s.was[c, 1])
+        moved = math.hypot(quad_px[c, 0] - was[c, 0], quad_px[c, 1] - was[c, 1])
         if moved > 1.5 * band + 1.0:
             return MOVED
     return TRACKED
@@ -265,18 +252,11 @@ def _farthest(lines: Array) -> float:
 
 @bare
 def _check(
-    image: Gray, tags: MapArrays, i: int, lens: Lens, quad_n: Array, quad_px: Array,
-    cell_px: float, limits: Array, s: Scratch,
-) -> tuple[int, float]:  # fmt: skip
+    task: Task, i: int, quad_n: Array, quad_px: Array, cell_px: float, s: Scratch
+) -> tuple[int, float]:
     """Wrong cells and margin, as `is_there`; the lens is left out where a tag is small."""
-    errors = int(limits[1])
+    lens, tags = task.lens, task.tags
     if cell_px * tags.border < _STRAIGHT_PX:
         flat = Lens(FLAT, lens.intrinsics, lens.coeffs, lens.size, lens.max_radius, lens.reach)
-        return is_there(
-            image, flat, quad_px, tags.cells[i], tags.border, cell_px, limits[0], errors, s.light,
-            s.small,
-        )  # fmt: skip
-    return is_there(
-        image, lens, quad_n, tags.cells[i], tags.border, cell_px, limits[0], errors, s.light,
-        s.small,
-    )  # fmt: skip
+        return is_there(task.image, flat, quad_px, tags, i, cell_px, task.limits, s.pattern)
+    return is_there(task.image, lens, quad_n, tags, i, cell_px, task.limits, s.pattern)

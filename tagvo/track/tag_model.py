@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tagvo.camera.model import MODELS, Camera, unproject
-from tagvo.geometry import Array
+from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.tags.bitmaps import tag_bitmap
 from tagvo.tags.families import Family
 from tagvo.tags.tag_map import TagMap
@@ -38,7 +38,8 @@ class MapArrays(NamedTuple):
 
     R_WT (n, 3, 3), p_WT (n, 3), corners_T (n, 4, 3), laying (n, 6): of the map; cells (n, c, c):
     the whole print upright, white 1, black -1, 0: may be anything; border: cells across the square
-    that the corners span; sense: sign of the grey step from inside to outside across its edge.
+    that the corners span; sense: sign of the grey step from inside to outside across its edge;
+    size (n,) [m].
     """
 
     R_WT: Array
@@ -48,6 +49,66 @@ class MapArrays(NamedTuple):
     cells: Cells
     border: int
     sense: float
+    size: Array
+
+
+class Belief(NamedTuple):
+    """A camera pose R_WC (3, 3), p_WC (3,) and the covariance P (6, 6) of its error."""
+
+    R_WC: Array
+    p_WC: Array
+    P: Array
+
+
+class Limits(NamedTuple):
+    """What is tried and taken, see `TrackConfig`."""
+
+    min_contrast: float
+    max_errors: int
+    min_side_px: float
+    max_sigma_px: float
+    max_tags: int
+
+
+class Task(NamedTuple):
+    """What is looked at, for what, through what, within what limits."""
+
+    image: Gray
+    tags: MapArrays
+    lens: Lens
+    limits: Limits
+
+
+class Foreseen(NamedTuple):
+    """What is expected of each of n tags.
+
+    quads_n (n, 4, 2) normalised; quads_px (n, 4, 2); sigma_px, cell_px, side_px, laying_px (n,):
+    uncertainty of a corner, width of a cell, shortest side, what a laying error does; done (n,):
+    it was tried.
+    """
+
+    quads_n: Array
+    quads_px: Array
+    sigma_px: Array
+    cell_px: Array
+    side_px: Array
+    laying_px: Array
+    done: BoolArray
+
+
+class TrackedTags(NamedTuple):
+    """Tags that were found, in the first places.
+
+    rows (k,) of the map; corners_px (k, 4, 2); sigma_px (k, 4); wrong (k,): cells that read wrong;
+    margin (k,); fates (6,): how many of those tried met which.
+    """
+
+    rows: IntArray
+    corners_px: Array
+    sigma_px: Array
+    wrong: IntArray
+    margin: Array
+    fates: IntArray
 
 
 def printed_cells(family: Family, tag_ids: NDArray[np.int64], border_bits: int) -> Cells:
@@ -81,6 +142,7 @@ def map_arrays(tag_map: TagMap) -> MapArrays:
         printed_cells(family, tag_map.tag_id, bits),
         family.border_cells + 2 * (bits - 1),
         -1.0 if family.reversed_border else 1.0,
+        np.ascontiguousarray(tag_map.size, dtype=float),
     )
 
 

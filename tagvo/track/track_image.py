@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from tagvo.geometry import Array, BoolArray, IntArray
+from tagvo.geometry import IntArray
 from tagvo.kernels.jit import bare, njit
 from tagvo.track.predict import (
     corner_spread,
@@ -20,7 +20,7 @@ from tagvo.track.predict import (
     project_tag,
 )  # fmt: skip
 from tagvo.track.tag_fit import OUTLIER, TRACKED, Scratch, scratch, track_tag
-from tagvo.track.tag_model import Gray, Lens, MapArrays
+from tagvo.track.tag_model import Belief, Foreseen, Gray, Lens, Limits, MapArrays, Task, TrackedTags
 
 _EDGE_PX = 4.0  # least distance of a predicted corner from the rim
 _ANCHORS = 3
@@ -29,50 +29,55 @@ _ENOUGH, _USEFUL_PX = 12, 18.0  # tags, beyond which those with shorter sides ar
 _OUTLIER = 5.0  # rms of a tag's residual over its sigma
 
 
+@njit
+def _nothing_foreseen(n: int) -> Foreseen:
+    return Foreseen(
+        np.empty((n, 4, 2)), np.empty((n, 4, 2)), np.empty(n), np.empty(n), np.empty(n),
+        np.empty(n), np.zeros(n, dtype=np.bool_),
+    )  # fmt: skip
+
+
 @bare
-def _foresee(
-    R_WC: Array, p_WC: Array, P: Array, tags: MapArrays, lens: Lens, i: int, min_side: float,
-    quad_n: Array, quad_px: Array, facts: Array, s: Scratch,
-) -> bool:  # fmt: skip
-    """Predict tag i; facts (4,): sigma [px], cell [px], shortest side [px], laying [px]."""
-    if not may_be_seen(R_WC, p_WC, tags, i, lens, min_side):
-        return False
-    if not project_tag(R_WC, p_WC, tags, i, lens, quad_n, quad_px, s.J):
+def _foresee(task: Task, camera: Belief, i: int, out: Foreseen, s: Scratch) -> bool:
+    """Predict tag i; False: it is of no use."""
+    R_WC, p_WC, P = camera
+    tags, lens, quad_px = task.tags, task.lens, out.quads_px[i]
+    least = task.limits.min_side_px
+    if not project_tag(R_WC, p_WC, tags, i, lens, out.quads_n[i], quad_px, s.J):
         return False
     if not inside(quad_px, lens, _EDGE_PX):
         return False
     side, height = extent(quad_px)
-    if side < min_side or height < 0.5 * min_side:
+    if side < least or height < 0.5 * least:
         return False
     corner_spread(s.J, P, s.spread)
     lay = laying_px(R_WC, p_WC, tags, i, lens)
-    facts[0] = math.sqrt(largest_sigma(s.spread) ** 2 + lay * lay)
-    facts[1], facts[2], facts[3] = min(side, height) / tags.border, side, lay
+    out.sigma_px[i] = math.sqrt(largest_sigma(s.spread) ** 2 + lay * lay)
+    out.cell_px[i] = min(side, height) / tags.border
+    out.side_px[i], out.laying_px[i] = side, lay
     return True
 
 
 @bare
 def _in_view(
-    R_WC: Array, p_WC: Array, P: Array, tags: MapArrays, lens: Lens, min_side: float,
-    done: BoolArray, seen: IntArray, quads_n: Array, quads_px: Array, facts: Array, s: Scratch,
-) -> tuple[int, float]:  # fmt: skip
+    task: Task, camera: Belief, out: Foreseen, seen: IntArray, s: Scratch
+) -> tuple[int, float]:
     """Foresee all tags but those done; into seen those in view -> how many, largest sigma [px]."""
-    count, largest = 0, 0.0
-    for i in range(len(tags.p_WT)):
-        if not done[i] and _foresee(
-            R_WC, p_WC, P, tags, lens, i, min_side, quads_n[i], quads_px[i], facts[i], s
-        ):
+    count, largest, least = 0, 0.0, task.limits.min_side_px
+    for i in range(len(seen)):
+        if out.done[i] or not may_be_seen(camera.R_WC, camera.p_WC, task.tags, i, task.lens, least):
+            continue
+        if _foresee(task, camera, i, out, s):
             seen[count] = i
             count += 1
-            largest = max(largest, facts[i, 0])
+            largest = max(largest, out.sigma_px[i])
     return count, largest
 
 
 @njit
 def _spread_out(
-    facts: Array, quads_px: Array, lens: Lens, seen: IntArray, count: int, wanted: int,
-    size: Array, order: IntArray,
-) -> int:  # fmt: skip
+    task: Task, expected: Foreseen, seen: IntArray, wanted: int, order: IntArray
+) -> int:
     """The most useful `wanted` of the tags seen, into order; -> how many.
 
     Worth is the square of the side over that of the corners' error, laying included, divided among
@@ -80,12 +85,14 @@ def _spread_out(
     first, since the selection of the paper lives on them. Small tags are left out once there are
     enough.
     """
+    count, size, frame = len(seen), task.tags.size, task.lens.size
+    side, lay = expected.side_px, expected.laying_px
     taken, crowd = np.zeros(count, dtype=np.bool_), np.zeros(12)
     place, n = np.empty(count, dtype=np.int64), min(wanted, count)
     for m in range(count):
-        q = quads_px[seen[m]]
-        u = 0.25 * (q[0, 0] + q[1, 0] + q[2, 0] + q[3, 0]) / lens.size[0]
-        v = 0.25 * (q[0, 1] + q[1, 1] + q[2, 1] + q[3, 1]) / lens.size[1]
+        q = expected.quads_px[seen[m]]
+        u = 0.25 * (q[0, 0] + q[1, 0] + q[2, 0] + q[3, 0]) / frame[0]
+        v = 0.25 * (q[0, 1] + q[1, 1] + q[2, 1] + q[3, 1]) / frame[1]
         place[m] = min(max(int(4 * u), 0), 3) + 4 * min(max(int(3 * v), 0), 2)
     chosen, largest, second = 0, 0.0, 0.0
     for m in range(count):
@@ -100,12 +107,12 @@ def _spread_out(
             if taken[m]:
                 continue
             i = seen[m]
-            w = facts[i, 2] ** 2 / ((0.01 + facts[i, 3] ** 2) * (1.0 + crowd[place[m]]))
+            w = side[i] ** 2 / ((0.01 + lay[i] ** 2) * (1.0 + crowd[place[m]]))
             if size[i] > 0.999 * second:
                 w *= 1e6
             if w > worth:
                 best, worth = m, w
-        if chosen >= _ENOUGH and facts[seen[best], 2] < _USEFUL_PX:
+        if chosen >= _ENOUGH and side[seen[best]] < _USEFUL_PX:
             taken[best] = True  # small beside those there are: not worth the time
             continue
         taken[best] = True
@@ -117,112 +124,107 @@ def _spread_out(
 
 @njit
 def track_image(
-    image: Gray, tags: MapArrays, size: Array, lens: Lens, R0: Array, p0: Array, P0: Array,
-    limits: Array, wanted: int, rows: IntArray, corners: Array, sigma: Array, wrong: IntArray,
-    margin: Array, fates: IntArray,
-) -> tuple[int, int, float]:  # fmt: skip
+    image: Gray, tags: MapArrays, lens: Lens, prior: Belief, limits: Limits, out: TrackedTags
+) -> tuple[int, int, float]:
     """Every tag of the map that the prior puts into the image, as far as it is there.
 
-    limits: [min_contrast, max_errors, min_side, max_sigma]; wanted: most tags to track. Writes
-    rows (k,), corners (k, 4, 2) [px], sigma (k, 4) [px], wrong (k,), margin (k,) of those tracked
-    and adds to fates (6,); -> how many were tracked, how many tried, largest sigma of the prior
-    among tags in view [px].
+    Writes out; -> how many were tracked, how many tried, largest sigma of the prior among tags in
+    view [px].
     """
-    n = len(tags.p_WT)
-    quads_n, quads_px, facts = np.empty((n, 4, 2)), np.empty((n, 4, 2)), np.empty((n, 4))
-    seen, order = np.empty(n, dtype=np.int64), np.empty(n, dtype=np.int64)
-    R, p, P, chi = R0.copy(), p0.copy(), P0.copy(), np.empty(n)
-    s = scratch(tags.cells.shape[1], limits[3])
-    done = np.zeros(n, dtype=np.bool_)
-    found = 0
-    count, largest = _in_view(
-        R, p, P, tags, lens, limits[2], done, seen, quads_n, quads_px, facts, s
-    )
-    if count == 0 or largest > limits[3]:
+    n, task = len(tags.p_WT), Task(image, tags, lens, limits)
+    s = scratch(tags.cells.shape[1], limits.max_sigma_px)
+    expected, seen = _nothing_foreseen(n), np.empty(n, dtype=np.int64)
+    camera = Belief(prior.R_WC.copy(), prior.p_WC.copy(), prior.P.copy())
+    count, largest = _in_view(task, camera, expected, seen, s)
+    if count == 0 or largest > limits.max_sigma_px:
         return 0, count, largest
-    tried = 0
-    while found < _ANCHORS and tried < min(_TRIES, count):
+    found, tried = _anchors(task, prior, camera, expected, seen[:count], out, s)
+    if found < 0:
+        return 0, count, largest
+    if found == 0:
+        return 0, tried, largest
+    count, _ = _in_view(task, camera, expected, seen, s)
+    order = np.empty(n, dtype=np.int64)
+    wanted = max(limits.max_tags - found, 0)
+    count = _spread_out(task, expected, seen[:count], wanted, order)
+    for m in range(count):
+        fate = track_tag(task, order[m], expected, out, found, s)
+        if fate == TRACKED:
+            out.rows[found] = order[m]
+            found += 1
+        out.fates[fate] += 1
+    kept = _without_outliers(task, prior, camera, out, found)
+    return kept, tried + count, largest
+
+
+@njit
+def _anchors(
+    task: Task, prior: Belief, camera: Belief, expected: Foreseen, seen: IntArray,
+    out: TrackedTags, s: Scratch,
+) -> tuple[int, int]:  # fmt: skip
+    """A few tags far apart, each sought about the pose that those before give, into camera.
+
+    -> how many were found (-1: no pose comes of them), how many tried.
+    """
+    found, tried, chi = 0, 0, np.empty(_ANCHORS)
+    while found < _ANCHORS and tried < min(_TRIES, len(seen)):
         best, worth = -1, -1.0
-        for m in range(count):
-            i = seen[m]
-            if not done[i]:
-                w = _anchor_worth(facts[i], quads_px[i], quads_px, rows, found)
+        for i in seen:
+            if not expected.done[i]:
+                w = _anchor_worth(expected, i, out.rows[:found])
                 if w > worth:
                     best, worth = i, w
         if best < 0:  # none left: some were in view by the prior alone
             break
-        done[best] = True
-        if found > 0 and not _foresee(
-            R, p, P, tags, lens, best, limits[2], quads_n[best], quads_px[best], facts[best], s
+        expected.done[best] = True
+        if found > 0 and not (
+            may_be_seen(
+                camera.R_WC, camera.p_WC, task.tags, best, task.lens, task.limits.min_side_px
+            )
+            and _foresee(task, camera, best, expected, s)
         ):
             continue
         tried += 1
-        k = found
-        fate, wrong[k], margin[k] = track_tag(
-            image, tags, best, lens, quads_n[best], facts[best, 1], facts[best, 0], limits,
-            corners[k], sigma[k], s,
-        )  # fmt: skip
-        fates[fate] += 1
+        fate = track_tag(task, best, expected, out, found, s)
+        out.fates[fate] += 1
         if fate != TRACKED:
             continue
-        rows[k] = best
+        out.rows[found] = best
         found += 1
-        if not posterior(R0, p0, P0, tags, lens, rows, found, corners, sigma, R, p, P, chi):
-            return 0, count, largest
-    if found == 0:
-        return 0, tried, largest
-    return _track_rest(
-        image, tags, size, lens, R0, p0, P0, R, p, P, limits, wanted, rows, corners, sigma, wrong,
-        margin, fates, done, found, tried, largest, seen, order, quads_n, quads_px, facts, chi,
-        s,
-    )  # fmt: skip
+        if not posterior(prior, task.tags, task.lens, out, found, camera, chi):
+            return -1, tried
+    return found, tried
 
 
 @bare
-def _anchor_worth(
-    facts: Array, quad_px: Array, quads_px: Array, rows: IntArray, found: int
-) -> float:
-    """How good an anchor a tag is: large for its uncertainty, far from the anchors there are."""
-    worth = facts[1] / (facts[0] + 1.0) * min(facts[2], 150.0)
-    nearest = 1e3
-    for k in range(found):
-        q = quads_px[rows[k]]
+def _anchor_worth(expected: Foreseen, i: int, rows: IntArray) -> float:
+    """How good an anchor tag i is: large for its uncertainty, far from the anchors there are."""
+    worth = expected.cell_px[i] / (expected.sigma_px[i] + 1.0) * min(expected.side_px[i], 150.0)
+    nearest, quad_px = 1e3, expected.quads_px[i]
+    for row in rows:
+        q = expected.quads_px[row]
         nearest = min(nearest, math.hypot(quad_px[0, 0] - q[0, 0], quad_px[0, 1] - q[0, 1]))
     return float(worth * min(nearest, 300.0))
 
 
 @njit
-def _track_rest(
-    image: Gray, tags: MapArrays, size: Array, lens: Lens, R0: Array, p0: Array, P0: Array,
-    R: Array, p: Array, P: Array, limits: Array, wanted: int, rows: IntArray, corners: Array,
-    sigma: Array, wrong: IntArray, margin: Array, fates: IntArray, done: BoolArray, found: int,
-    tried: int, largest: float, seen: IntArray, order: IntArray, quads_n: Array, quads_px: Array,
-    facts: Array, chi: Array, s: Scratch,
-) -> tuple[int, int, float]:  # fmt: skip
-    """The tags besides the anchors, about the pose (R, p, P) that these gave; see `track_image`."""
-    count, _ = _in_view(R, p, P, tags, lens, limits[2], done, seen, quads_n, quads_px, facts, s)
-    count = _spread_out(facts, quads_px, lens, seen, count, max(wanted - found, 0), size, order)
-    for m in range(count):
-        i, k = order[m], found
-        fate, wrong[k], margin[k] = track_tag(
-            image, tags, i, lens, quads_n[i], facts[i, 1], facts[i, 0], limits,
-            corners[k], sigma[k], s,
-        )  # fmt: skip
-        tried += 1
-        if fate == TRACKED:
-            rows[k] = i
-            found += 1
-        fates[fate] += 1
-    if not posterior(R0, p0, P0, tags, lens, rows, found, corners, sigma, R, p, P, chi):
-        return 0, tried, largest
+def _without_outliers(
+    task: Task, prior: Belief, camera: Belief, out: TrackedTags, found: int
+) -> int:
+    """Drop the tags that the pose of all contradicts, which goes into camera; -> how many stay."""
+    chi = np.empty(found)
+    if not posterior(prior, task.tags, task.lens, out, found, camera, chi):
+        return 0
     kept = 0
     for k in range(found):
         if chi[k] > _OUTLIER:
-            fates[TRACKED] -= 1
-            fates[OUTLIER] += 1
+            out.fates[TRACKED] -= 1
+            out.fates[OUTLIER] += 1
             continue
         if kept != k:
-            rows[kept], wrong[kept], margin[kept] = rows[k], wrong[k], margin[k]
-            corners[kept], sigma[kept] = corners[k], sigma[k]
+            out.rows[kept], out.wrong[kept], out.margin[kept] = (
+                out.rows[k], out.wrong[k], out.margin[k],
+            )  # fmt: skip
+            out.corners_px[kept], out.sigma_px[kept] = out.corners_px[k], out.sigma_px[k]
         kept += 1
-    return kept, tried, largest
+    return kept

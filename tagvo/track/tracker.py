@@ -23,7 +23,7 @@ from tagvo.track.policy import (
 )
 from tagvo.track.predict import sides_in_view
 from tagvo.track.tag_fit import FATES
-from tagvo.track.tag_model import Gray, lens_of, map_arrays
+from tagvo.track.tag_model import Belief, Gray, Limits, TrackedTags, lens_of, map_arrays
 from tagvo.track.track_image import track_image
 
 _OVERLAP_PX = 40  # of neighbouring strips, for tags that lie across their border
@@ -62,8 +62,12 @@ class Tracker:
             np.empty((n, 4)),
             np.empty(n),
         )
-        self._limits = np.array(
-            [config.min_contrast, config.max_errors, config.min_side_px, config.max_sigma_px]
+        self._limits = Limits(
+            config.min_contrast,
+            config.max_errors,
+            config.min_side_px,
+            config.max_sigma_px,
+            config.max_tags,
         )
 
     def __call__(
@@ -136,9 +140,10 @@ class Tracker:
         """Tags tracked, how many were tried (-1: the prior is too wide), fates of those lost."""
         fates = np.zeros(len(FATES), dtype=np.int64)
         k, tried, largest = track_image(
-            image, self._tags, self._size, self._lens, prior.R_WC, prior.p_WC, prior.cov,
-            self._limits, self.config.max_tags, self._rows, self._corners, self._sigma,
-            self._wrong, self._margin, fates,
+            image, self._tags, self._lens, Belief(prior.R_WC, prior.p_WC, prior.cov), self._limits,
+            TrackedTags(
+                self._rows, self._corners, self._sigma, self._wrong, self._margin, fates
+            ),
         )  # fmt: skip
         found = Detections(
             self._map.tag_id[self._rows[:k]],

@@ -18,12 +18,21 @@ from tagvo.records import Detections, Frame, PosePrior
 from tagvo.tags.bitmaps import tag_bitmap
 from tagvo.tags.families import FAMILIES
 from tagvo.track import Tracker
-from tagvo.track.pattern import is_there
+from tagvo.track.pattern import PatternScratch, is_there
 from tagvo.track.policy import (
     admitted,
 )
 from tagvo.track.predict import corner_spread, laying_px, posterior, project_tag
-from tagvo.track.tag_model import FLAT, Lens, lens_of, map_arrays, printed_cells
+from tagvo.track.tag_model import (
+    FLAT,
+    Belief,
+    Lens,
+    Limits,
+    TrackedTags,
+    lens_of,
+    map_arrays,
+    printed_cells,
+)
 
 
 def projected(R_WC, p_WC, i):
@@ -74,9 +83,10 @@ def test_posterior_is_the_least_squares_of_prior_and_corners():
     measured = px[rows] + 0.1 * rng.standard_normal((3, 4, 2))
     tags, camera = map_arrays(MAP), lens_of(CAMERA)
     R, p, P, chi = np.empty((3, 3)), np.empty(3), np.empty((6, 6)), np.empty(3)
-    assert posterior(
-        prior.R_WC, prior.p_WC, prior.cov, tags, camera, rows, 3, measured, sigma, R, p, P, chi
-    )
+    none = np.zeros(6, dtype=np.int64)
+    found = TrackedTags(rows, measured, sigma, none, none * 0.1, none)
+    known, out = Belief(prior.R_WC, prior.p_WC, prior.cov), Belief(R, p, P)
+    assert posterior(known, tags, camera, found, 3, out, chi)
     lay = np.array([laying_px(R, p, tags, i, camera) for i in rows])
     weight = 1.0 / np.sqrt(0.1**2 + 4.0 * lay**2)
 
@@ -129,8 +139,12 @@ def reads_as(picture, cells, border, max_errors=0):
     pad = 16 - 0.5 + 8 * (n - border) / 2
     a, b = pad, pad + 8 * border
     quad = np.array([[a, a], [b, a], [b, b], [a, b]])
-    light, small = np.empty((n, n)), np.empty((8, 4))
-    read = is_there(picture, ON_PIXELS, quad, cells, border, 8.0, 10.0, max_errors, light, small)
+    work = PatternScratch(
+        np.empty((n, n)), np.empty((8, 4)), np.empty((n * n, 3)), np.empty((3, 3)), np.empty(2)
+    )
+    tags = map_arrays(MAP)._replace(cells=cells[None], border=border)
+    limits = Limits(10.0, max_errors, 12.0, 15.0, 64)
+    read = is_there(picture, ON_PIXELS, quad, tags, 0, 8.0, limits, work)
     return read[0]
 
 
