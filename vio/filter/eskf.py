@@ -226,7 +226,7 @@ class ErrorStateFilter:
         if not all(sound):
             self._counters["pose_not_finite"] += 1
             return False
-        if all(measured.t_ns != p.t_ns for p in self._poses):
+        if measured.t_ns not in [p.t_ns for p in self._poses]:
             self._poses.append(measured)
         elif not self._started:
             self._counters["duplicate"] += 1
@@ -324,7 +324,7 @@ class ErrorStateFilter:
         whole, after_ns = seen.last(kinds.ACCEPTED), self._config.recovery.turned_after_s * 1e9
         if whole >= 0:
             self._turned_ns = int(seen.due_ns[whole])
-        taken = np.isin(seen.verdict, (kinds.ACCEPTED, kinds.POSITION_ONLY))
+        taken = seen.with_verdict(kinds.ACCEPTED, kinds.POSITION_ONLY)
         lately = np.flatnonzero(taken & (seen.due_ns - self._turned_ns < after_ns))
         if lately.size:  # a position alone counts while a whole pose stands behind it
             self._accepted_ns = int(seen.due_ns[lately[-1]])

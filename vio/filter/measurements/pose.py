@@ -94,13 +94,13 @@ def _pivot(R_WC: Array, cov: Array, pivot_C: Array) -> None:
 
 
 @njit
-def _fill(R_WC: Array, p_WC: Array, cov: Array, row: PoseRow) -> None:
-    """The payload of a pose, into row: cov about the pivot y is T cov T^T.
+def _fill(R_WC: Array, p_WC: Array, cov: Array, z: Array) -> None:
+    """The payload of a pose, into z (NUMBERS,): cov about the pivot y is T cov T^T.
 
     pivot in C: y = R_WC^T (p_W - p_WC)    T = [-R_WC^T  hat(y)]
                                                [ 0        1     ]
     """
-    T, half = np.zeros((6, 6)), np.empty((6, 6))
+    row, T, half = unpack(z), np.zeros((6, 6)), np.empty((6, 6))
     _pivot(R_WC, cov, row.pivot_C)
     quaternion(R_WC, row.q_WC)
     if row.q_WC[0] < 0.0:
@@ -119,7 +119,7 @@ def pack(measured: PoseMeasurement) -> Array:
     row = np.empty(kinds.HEAD + NUMBERS)
     row[0], row[1] = kinds.POSE, 1.0
     R, p, cov = (np.ascontiguousarray(a) for a in (measured.R_WC, measured.p_WC, measured.cov))
-    _fill(R, p, cov, unpack(row[kinds.HEAD :]))
+    _fill(R, p, cov, row[kinds.HEAD :])
     return row
 
 
