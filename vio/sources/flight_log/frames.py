@@ -31,8 +31,8 @@ class FrameSource:
 
     t_ns (n,), arrival_ns (n,); received_ns (n,): when an image came from the camera, before its
     tags were known; image_path of each, None: take its corners; corners: by stamp, None where the
-    log has no detections.csv; first_ns: stamp of the camera's first frame, whether offered or not;
-    resolution (width, height) [px] of the calibration.
+    log has no detections.csv; first_ns, last_ns: stamps of the camera's first and latest
+    frame, offered or not; resolution (width, height) [px] of the calibration.
     """
 
     t_ns: IntArray
@@ -41,6 +41,7 @@ class FrameSource:
     image_path: list[Path | None]
     corners: Mapping[int, Detections] | None
     first_ns: int
+    last_ns: int
     resolution: tuple[int, int]
     tally: Tally
 
@@ -115,6 +116,7 @@ def open_frames(
         [images[i] for i in rows.tolist()],
         corners,
         int(frames.t_ns[0]),
+        int(frames.t_ns.max()),
         resolution,
         tally,
     )

@@ -32,6 +32,7 @@ NEEDS = (
 Event = ImuSample | Frame | Ground
 T = TypeVar("T")
 _GROUND = "mav0/vehicle0/data.csv"
+_END_NS = 1_000_000_000  # a camera may start before its IMU, and end after it, by less
 _TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
 
@@ -190,6 +191,7 @@ def _warn(log: FlightLog) -> None:
         tally.note(text)
     if log.truth is not None and _apart(t_ns, log.truth.t_ns):
         tally.note(f"{log.path}: truth and frames do not overlap in time")
+    _note_ends(log)
     if log.imu is None:
         return
     if log.imu_noise is None:
@@ -200,6 +202,29 @@ def _warn(log: FlightLog) -> None:
         tally.note(f"{log.camera.source}: the camera's pose is that of the IMU; no T_cam_imu?")
     early = int(np.sum(t_ns < log.imu.t_ns.min()))
     tally.count("frame_before_imu", f"{log.path}: frames before the first IMU sample", early)
+
+
+def _note_ends(log: FlightLog) -> None:
+    """Note what begins later or ends earlier than another of IMU, frames and truth, in seconds."""
+    shift_ns = round(log.camera.timeshift_s * 1e9)
+    spans = {"frames": (log.frames.first_ns + shift_ns, log.frames.last_ns + shift_ns)}
+    for name, track in (("IMU", log.imu), ("truth", log.truth)):
+        if track is not None:
+            spans[name] = int(track.t_ns.min()), int(track.t_ns.max())
+    if any(a[0] > b[1] for a in spans.values() for b in spans.values()):
+        return  # they do not overlap, which is said already
+    for name, (first, last) in spans.items():
+        if name == "frames" and "IMU" not in spans:
+            continue
+        other = "IMU sample" if name == "frames" else "frame"
+        beside = spans["IMU" if name == "frames" else "frames"]
+        late, early = first - beside[0], beside[1] - last
+        if late > _END_NS:
+            text = f"begin{'s' * (name != 'frames')} {1e-9 * late:.1f} s after the first {other}"
+            log.tally.note(f"{log.path}: the {name} {text}")
+        if early > _END_NS:
+            text = f"end{'s' * (name != 'frames')} {1e-9 * early:.1f} s before the last {other}"
+            log.tally.note(f"{log.path}: the {name} {text}")
 
 
 def _apart(a_ns: IntArray, b_ns: IntArray) -> bool:
