@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vio.errors import LogError
 from vio.filter import eskf as flt
 from vio.localize.fused import VioArm
 from vio.localize.run import RunResult
@@ -81,7 +82,8 @@ def strange_tags(log: FlightLog, result: RunResult) -> list[str]:
         frames = (again.frame(row) for row in rows[:_TRIED_IMAGES])
         family = log.tag_map.family.name
         other = other_family((f.image for f in frames if f is not None), family)
-        said += [] if other is None else [other]
+        if other is not None:  # nothing in the results is of use
+            raise LogError(f"{log.path}: {other}")
     return [f"{log.path}: {text}" for text in said]
 
 

@@ -41,3 +41,20 @@ def test_exchanged_gyro_and_accelerometer_are_named():
     assert check_imu(ImuTrack(t_ns, gyro, accel, t_ns), t_ns[:0], "w") == []
     with pytest.raises(LogError, match="do the accelerometer's columns stand first"):
         check_imu(ImuTrack(t_ns, accel, gyro, t_ns), t_ns[:0], "w")
+
+
+def test_what_cannot_be_is_counted(tmp_path):
+    log = edited(tmp_path, lambda r: f"{r},-5")
+    path = log / IMU
+    path.write_text(path.read_text().replace("a_z [m s^-2]", "a_z [m s^-2],arrival_ns", 1))
+    truth = log / "mav0/state_groundtruth_estimate0/data.csv"
+    head, first, *rows = truth.read_text().splitlines()
+    cells = first.split(",")
+    truth.write_text("\n".join([head, ",".join([cells[0], "1e8", *cells[2:]]), *rows]) + "\n")
+    counters = FlightLog.open(log).counters
+    assert counters["imu_arrival_before_stamp"] == 200
+    assert counters["truth_far"] == 1
+    clean = FlightLog.open(write_log(tmp_path / "clean")).counters
+    assert not {"imu_arrival_before_stamp", "frame_arrival_before_capture", "truth_far"} & set(
+        clean
+    )

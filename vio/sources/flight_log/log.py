@@ -33,6 +33,8 @@ Event = ImuSample | Frame | Ground
 T = TypeVar("T")
 _GROUND = "mav0/vehicle0/data.csv"
 _END_NS = 1_000_000_000  # a camera may start before its IMU, and end after it, by less
+_CLOCKS_NS = 100_000_000  # what two clocks, and the middle of an exposure, may differ
+_FARTHEST_M = 1e4  # of a vehicle from the middle of its flight: as far as a map's tags may lie
 _TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
 
@@ -192,6 +194,7 @@ def _warn(log: FlightLog) -> None:
     if log.truth is not None and _apart(t_ns, log.truth.t_ns):
         tally.note(f"{log.path}: truth and frames do not overlap in time")
     _note_ends(log)
+    _note_impossible(log)
     if log.imu is None:
         return
     if log.imu_noise is None:
@@ -225,6 +228,23 @@ def _note_ends(log: FlightLog) -> None:
         if early > _END_NS:
             text = f"end{'s' * (name != 'frames')} {1e-9 * early:.1f} s before the last {other}"
             log.tally.note(f"{log.path}: the {name} {text}")
+
+
+def _note_impossible(log: FlightLog) -> None:
+    """Count what cannot be: known before it was captured, truth that leaps away."""
+    shift_ns = round(log.camera.timeshift_s * 1e9)
+    early = int(np.sum(log.frames.arrival_ns < log.frames.t_ns + shift_ns - _CLOCKS_NS))
+    text = f"{log.path}: frames known before their own capture; is arrival_ns in the IMU's clock?"
+    log.tally.count("frame_arrival_before_capture", text, early)
+    if log.imu is not None:
+        early = int(np.sum(log.imu.arrival_ns < log.imu.t_ns - _CLOCKS_NS))
+        text = f"{log.path}: IMU samples known before their own stamp; is arrival_ns in its clock?"
+        log.tally.count("imu_arrival_before_stamp", text, early)
+    if log.truth is not None:
+        p_W = log.truth.p_WI
+        far = np.linalg.norm(p_W - np.median(p_W, axis=0), axis=-1) > _FARTHEST_M
+        text = f"{log.path}: truth more than {_FARTHEST_M:g} m from its median, and judged by"
+        log.tally.count("truth_far", text, int(far.sum()))
 
 
 def _apart(a_ns: IntArray, b_ns: IntArray) -> bool:
