@@ -4,6 +4,7 @@ import json
 import os
 import re
 import stat
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,7 @@ import yaml
 from tagvo.errors import TagvoError, shown
 
 _LARGEST = 1e30  # no metre, pixel or second is beyond; powers of what is below stay finite
+_LARGEST_FILE = 32_000_000  # bytes; a map of 10^5 tags with sigmas of their own fills 20 MB
 _DIGITS = 400  # of a whole number: 1e30 written out has 31; str() of thousands raises
 
 try:  # the C parser is ten times faster and comes with the wheels
@@ -35,6 +37,102 @@ def _whole_number(loader: Any, node: Any) -> int:
 
 
 _Loader.add_constructor("tag:yaml.org,2002:int", _whole_number)
+_PLAIN_INT = re.compile(r"[-+]?(?:0|[1-9][0-9]{0,17})", re.ASCII)
+_PLAIN_FLOAT = re.compile(r"[-+]?[0-9]+\.[0-9]*(?:[eE][-+][0-9]+)?", re.ASCII)
+_DEEPEST = 100  # levels of brackets; none of our files has ten
+_REMEMBERED = 64  # characters of a plain word that stands more than once, as keys do
+
+
+class _Builder:
+    """Values straight from the parser's events, in one pass: a tree of nodes, as PyYAML makes it,
+    costs eight times the time and memory of its values (a map of 10^5 tags: 40 s, 0.8 GB).
+
+    Refused, with their line: aliases (10^8 values of half a kilobyte), tags (types that no file of
+    ours has), merge keys, keys that stand twice (the last would win unseen).
+    """
+
+    def __init__(self, loader: Any) -> None:
+        self._loader = loader
+        self._known: dict[str, Any] = {}
+        self._open: list[tuple[Any, Any]] = []  # a list or mapping, the event that began it
+        self._key: list[Any] = []  # of each open mapping: the key that waits for its value
+        self.value: Any = None
+
+    def build(self) -> Any:
+        """The value of the one document; YAMLError where there are more, or what is refused."""
+        get_event, documents = self._loader.get_event, 0
+        while (kind := type(event := get_event())) is not yaml.StreamEndEvent:
+            if kind is yaml.ScalarEvent:
+                self._take(self._scalar(event), event)
+            elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
+                self._begin(event)
+            elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
+                self._key.pop()
+                self._take(*self._open.pop())
+            elif kind is yaml.AliasEvent:
+                raise _refusal("an alias", event)
+            elif kind is yaml.DocumentStartEvent:
+                documents += 1
+                if documents > 1:
+                    raise _refusal("a second document", event)
+        return self.value
+
+    def _begin(self, event: Any) -> None:
+        if event.tag not in (None, "!"):
+            raise _refusal("a tag (!)", event)
+        if len(self._open) >= _DEEPEST:
+            raise _refusal(f"brackets more than {_DEEPEST} deep", event)
+        self._open.append(({} if isinstance(event, yaml.MappingStartEvent) else [], event))
+        self._key.append(_NO_KEY)
+
+    def _take(self, value: Any, event: Any) -> None:
+        """Put a whole value where it belongs."""
+        if not self._open:
+            self.value = value
+            return
+        into, key = self._open[-1][0], self._key[-1]
+        if isinstance(into, list):
+            into.append(value)
+        elif key is _NO_KEY:
+            if isinstance(value, dict | list):
+                raise _refusal("a key that is a list or a mapping", event)
+            if value in into:
+                raise _refusal(f"the key {shown(value)} twice in one mapping", event)
+            self._key[-1] = value
+        else:
+            into[key] = value
+            self._key[-1] = _NO_KEY
+
+    def _scalar(self, event: Any) -> Any:
+        text: str = event.value
+        if event.implicit[0] and event.tag is None:
+            known = self._known.get(text, _NO_KEY)
+            if known is not _NO_KEY:
+                return known
+            if _PLAIN_FLOAT.fullmatch(text):
+                return float(text)
+            if _PLAIN_INT.fullmatch(text):
+                return int(text)
+        if event.tag not in (None, "!"):
+            raise _refusal("a tag (!)", event)
+        tag = self._loader.resolve(yaml.ScalarNode, text, event.implicit)
+        if tag == "tag:yaml.org,2002:merge":
+            raise _refusal("a merge key (<<)", event)
+        node = yaml.ScalarNode(tag, text, event.start_mark, event.end_mark, event.style)
+        value = self._loader.construct_object(node)
+        self._loader.constructed_objects.clear()
+        if event.implicit[0] and event.tag is None and len(text) <= _REMEMBERED:
+            self._known[text] = value
+        return value
+
+
+_NO_KEY = object()
+
+
+def _refusal(what: str, event: Any) -> yaml.MarkedYAMLError:
+    return yaml.MarkedYAMLError(None, None, f"{what}; plain values are needed", event.start_mark)
+
+
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
 )
@@ -46,6 +144,9 @@ def read_text(path: Path, error: type[Exception] = TagvoError, undecodable: str 
     `undecodable` says what becomes of bytes that are no UTF-8: strict (an error) or replace.
     """
     check_regular(path, error)
+    size = path.stat().st_size
+    if size > _LARGEST_FILE:
+        raise error(f"{path}: {size / 1e6:.0f} MB; at most {_LARGEST_FILE / 1e6:.0f} MB are read")
     try:
         return path.read_text(encoding="utf-8-sig", errors=undecodable)
     except UnicodeDecodeError as err:
@@ -92,8 +193,11 @@ def parse_yaml(text: str, where: str, error: type[Exception] = TagvoError) -> An
     text = re.sub(r"\A%YAML:1\.0[^\n]*\n(---[^\n]*\n)?", "", text)
     text = text.replace("!!opencv-matrix", "")
     try:
-        _refuse_aliases(text)
-        value = yaml.load(text, Loader=_Loader)  # _Loader is a safe loader
+        loader = _Loader(text)
+        try:
+            value = _Builder(loader).build()
+        finally:
+            loader.dispose()
     except yaml.YAMLError as err:
         mark = getattr(err, "problem_mark", None)
         line = f" line {mark.line + 1}" if mark is not None else ""
@@ -111,20 +215,6 @@ _UNBUILDABLE = (ValueError, RecursionError, TypeError, AttributeError, OverflowE
 def _brief(reason: str) -> str:
     words = " ".join(reason.split())
     return words if len(words) <= 120 else f"{words[:117]}..."
-
-
-def _refuse_aliases(text: str) -> None:
-    """YAMLError for an alias or a tag: the one makes 10^8 values of half a kilobyte, the other
-    asks for a type that no file of ours has."""
-    if not re.search(r"[&*!]", text):
-        return
-    for event in yaml.parse(text, Loader=_Loader):
-        what = "an alias" if isinstance(event, yaml.AliasEvent) else None
-        if getattr(event, "tag", None) not in (None, "!"):
-            what = "a tag (!)"
-        if what is not None:
-            mark: Any = event.start_mark  # of the C parser, whose type is another
-            raise yaml.MarkedYAMLError(None, None, f"{what}; plain values are needed", mark)
 
 
 _ZERO_BYTE = re.compile(r"\0|\\(?:0|x00|u0000|U00000000)")
@@ -158,12 +248,20 @@ def read_yaml(path: Path, error: type[Exception] = TagvoError) -> dict[str, Any]
 def parse_json(text: str, where: str, error: type[Exception] = TagvoError) -> Any:
     """JSON value of a text; raises `error` where it is none."""
     try:
-        value = json.loads(text, parse_int=_json_whole)
+        value = json.loads(text, parse_int=_json_whole, object_pairs_hook=_json_object)
     except json.JSONDecodeError as err:
         raise error(f"{where} line {err.lineno}: not valid JSON ({err.msg})") from None
     except (ValueError, RecursionError) as err:
         raise error(f"{where}: not valid JSON ({_brief(str(err))})") from None
     return _without_zero_bytes(value, text, where, error)
+
+
+def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    value = dict(pairs)
+    if len(value) < len(pairs):
+        twice = next(key for key, n in Counter(key for key, _ in pairs).items() if n > 1)
+        raise ValueError(f"the key {shown(twice)} stands twice in one object")
+    return value
 
 
 def _json_whole(digits: str) -> int:

@@ -2,6 +2,7 @@
 
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ _MODELS = {
     "none": "none",
 }
 _SKEW_PX = 1.0  # below: within what a corner is found to, far from the image's middle at most
+_LEAST_FOCAL_PX = 1.0  # all of 90 degrees would fall on two pixels
+_SMALL_PX = 16  # a tag of ten cells has a pixel and a half a cell
 _LARGEST_PX = 1e6  # a focal length beyond is no lens
 _LARGEST_SIDE = 65_536  # [px] of an image
 _LARGEST_SHIFT_S = 10.0  # beyond, clocks differ, not exposures
@@ -85,17 +88,25 @@ def camera_of(
     if np.abs(p_CI).max() > _LARGEST_LEVER_M:
         raise CameraError(f"{where} T_cam_imu: {p_CI.tolist()} m; IMU and camera are on one rig")
     intrinsics, notes = _intrinsics(block, where)
-    return Camera(
-        model,
-        intrinsics,
-        coeffs,
-        _resolution(block, where),
-        R_CI,
-        p_CI,
-        shift,
-        str(path),
-        notes,
-    )
+    size = _resolution(block, where)
+    camera = Camera(model, intrinsics, coeffs, size, R_CI, p_CI, shift, str(path), notes)
+    return replace(camera, notes=(*notes, *_doubts(camera, where)))
+
+
+def _doubts(camera: Camera, where: str) -> list[str]:
+    """What a calibration may say and hardly a camera has, a line each."""
+    (width, height), (fu, fv, pu, pv) = camera.resolution, camera.intrinsics.tolist()
+    folds_px = camera.max_radius * min(fu, fv)
+    said = []
+    if min(width, height) < _SMALL_PX:
+        said.append(f"{where} resolution: {width}x{height} pixels hold no tag")
+    elif not (0.0 <= pu <= width and 0.0 <= pv <= height):
+        said.append(f"{where}: the principal point {pu:g}, {pv:g} lies outside of {width}x{height}"
+                    " pixels: is it of another resolution?")  # fmt: skip
+    elif folds_px < 0.25 * min(width, height):
+        text = f"folds the image {folds_px:.0f} pixels from its middle: are these a lens's?"
+        said.append(f"{where} distortion: {text}")
+    return said
 
 
 def camera_to_yaml(camera: Camera, name: str = "cam0") -> str:
@@ -195,6 +206,11 @@ def _intrinsics(block: dict[str, Any], where: str) -> tuple[Array, tuple[str, ..
         values = finite_numbers(_field(block, "intrinsics", where, needed), 4, here, CameraError)
     if min(values) <= 0.0:
         raise CameraError(f"{here}: {values}; fu, fv, pu, pv must be positive")
+    if min(values[:2]) < _LEAST_FOCAL_PX:
+        raise CameraError(
+            f"{here}: {values}; fu and fv are at least {_LEAST_FOCAL_PX:g} pixel"
+            " (are these normalised or in metres?)"
+        )
     if max(values) > _LARGEST_PX:
         raise CameraError(f"{here}: {values}; at most {_LARGEST_PX:g} pixels are a camera's")
     return np.array(values), notes

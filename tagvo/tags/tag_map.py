@@ -1,5 +1,6 @@
 """The tag map: which tag lies where, how big it is, and how well it was laid."""
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +17,7 @@ from tagvo.textfile import finite_numbers, is_number, read_yaml, write_atomic
 
 SIZE_KINDS = ("border", "total")
 SIDES_M = (1e-3, 10.0)  # no printer makes less, no hall has more
+LARGEST_SIGMA_M, LARGEST_SIGMA_DEG = 10.0, 45.0  # beyond, nobody knows where a tag lies
 LARGEST_PLACE_M = 1e4  # of a tag from the map's origin: floats keep 1e-12 of it
 _SIGMA_KEYS = ("xy", "z", "yaw_deg", "tilt_deg")
 _SIGMA_DEFAULT = (0.002, 0.001, float(np.radians(0.3)), float(np.radians(0.1)))
@@ -171,7 +173,7 @@ def numbers(value: object, count: int, where: str) -> list[float]:
 def unit_quaternion(value: object, where: str) -> list[float]:
     """A wxyz quaternion of norm 1 within 1e-3; MapError otherwise."""
     q = numbers(value, 4, where)
-    norm = float(np.linalg.norm(q))
+    norm = math.sqrt(sum(x * x for x in q))
     if abs(norm - 1.0) > 1e-3:
         raise MapError(
             f"{where}: {shown(value)} is no rotation (norm {norm:.4g}); unit to 1e-3, wxyz"
@@ -197,9 +199,9 @@ def side(value: object, where: str) -> float:
     return float(value)
 
 
-def _positive(value: object, where: str) -> float:
-    if not is_number(value) or value <= 0.0:
-        raise MapError(f"{where}: {shown(value)}; a positive number of metres is needed")
+def _gravity_sigma(value: object, where: str) -> float:
+    if not is_number(value) or not 0.0 < value <= 180.0:
+        raise MapError(f"{where}: {shown(value)}; a positive number of degrees to 180 is needed")
     return float(value)
 
 
@@ -257,6 +259,10 @@ def _sigma(
             raise MapError(choose_one_of(where, key, _SIGMA_KEYS))
         if not is_number(number) or number < 0.0:
             raise MapError(f"{where} {key}: {shown(number)}; a number of at least 0 is needed")
+        most = LARGEST_SIGMA_DEG if key.endswith("_deg") else LARGEST_SIGMA_M
+        if number > most:
+            unit = "degrees" if key.endswith("_deg") else "metres"
+            raise MapError(f"{where} {key}: {shown(number)}; at most {most:g} {unit} are of use")
         scale = np.pi / 180.0 if key.endswith("_deg") else 1.0
         out[_SIGMA_KEYS.index(key)] = float(number) * scale
     return (out[0], out[1], out[2], out[3])
@@ -272,7 +278,7 @@ def _gravity(value: object, where: str) -> Gravity | None:
     if norm < 1e-6:
         raise MapError(f"{where} dir: the vector is zero; the direction in which things fall")
     x, y, z = (d / norm).tolist()
-    return Gravity((x, y, z), _positive(value.get("sigma_deg", 1.0), f"{where} sigma_deg"))
+    return Gravity((x, y, z), _gravity_sigma(value.get("sigma_deg", 1.0), f"{where} sigma_deg"))
 
 
 def _tidy(x: float, digits: int = 9) -> float:

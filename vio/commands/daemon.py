@@ -32,7 +32,8 @@ def command(
     start_log()
     loaded = load_config(config, assignments or ())
     if check:
-        parts, _, open_it = main.check(loaded, config)
+        parts, bridge, open_it = main.check(loaded, config)
+        bridge.try_link()
         for text in (*parts.camera.notes, *main.tags_in_sight(parts, open_it)):
             typer.echo(f"warning: {text}", err=True)
         typer.echo(f"{config}: all is there; nothing was sent")

@@ -8,6 +8,8 @@ import typer
 from vio.commands import options as opt
 from vio.offline.choice import Choice
 
+_CAUSES = {"too_early": "beyond the last IMU sample"}  # the filter's word means: for its IMU
+
 
 def command(
     log: opt.LogFolder,
@@ -78,7 +80,7 @@ def _report(summary: dict[str, object], files: list[Path], warnings: list[str]) 
         typer.echo(f"warning: {text}", err=True)
     rejected = summary["rejected"]
     assert isinstance(rejected, dict)
-    causes = ", ".join(f"{n} {cause}" for cause, n in rejected.items()) or "none"
+    causes = ", ".join(f"{n} {_CAUSES.get(c, c)}" for c, n in rejected.items()) or "none"
     typer.echo(f"{frames['with_pose']} of {frames['total']} frames gave a pose; without: {causes}")
     if "total" in timing:
         ms = timing["total"]

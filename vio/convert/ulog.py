@@ -31,6 +31,8 @@ def read_ulog(path: Path, tally: Tally) -> Foreign:
     log = _open(path)
     if log.file_corruption:
         tally.count("ulog_broken", f"{path}: broken places were passed over")
+    elif _cut_off(path.read_bytes()):
+        tally.count("ulog_truncated", f"{path}: ends within a message: the file was cut off")
     if log.dropouts:
         tally.count("ulog_dropouts", f"{path}: the logger lost data", len(log.dropouts))
     topics = {d.name: d.data for d in log.data_list if d.multi_id == 0}
@@ -49,6 +51,14 @@ def read_ulog(path: Path, tally: Tally) -> Foreign:
     track = ImuTrack(t_ns, gyro * FLIP, accel * FLIP, t_ns, np.ones(len(t_ns), dtype=bool))
     notes = () if truth is not None else (f"{path}: no truth in it ({_POSITION} is a simulator's)",)
     return Foreign({"imu0": track}, truth=truth, notes=notes)
+
+
+def _cut_off(data: bytes) -> bool:
+    """Whether a ULog ends within a message: 16 bytes, then messages of size, type, payload."""
+    at = 16
+    while at + 3 <= len(data):
+        at += 3 + int.from_bytes(data[at : at + 2], "little")
+    return at != len(data)
 
 
 def _open(path: Path) -> Any:

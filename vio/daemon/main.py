@@ -29,6 +29,7 @@ from vio.daemon.preflight import (
     read_parts,
 )
 from vio.daemon.recorder import Recorder
+from vio.daemon.status import waiting_status, write_status
 from vio.daemon.systemd import Systemd
 from vio.errors import LinkError, LogError, VioError
 from vio.localize.run import RunResult
@@ -47,6 +48,7 @@ _LOOK_S = 0.25
 _SWITCH_S = 1e-3
 _LEAD_NS = 1_500_000_000  # to the first event of a log: the detector gets ready meanwhile
 _REPLAY_WAIT_S = 10.0
+_SAY_WAITING_S, _WRITE_WAITING_S = 10.0, 1.0  # a line for a person, the file as in flight
 
 
 def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | None:
@@ -60,7 +62,8 @@ def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | Non
     sys.setswitchinterval(_SWITCH_S)  # the link answers TIMESYNC while compiled code is loaded
     with _link(bridge), _loading(parts) as loaded:
         systemd.tell("READY=1", "STATUS=waiting for the flight controller")
-        if not _met(bridge, config.daemon.vehicle_wait_s, stop, systemd):
+        file = _status_file(config, where)
+        if not _met(bridge, config.daemon.vehicle_wait_s, stop, systemd, file):
             return None
         recorder = _recorder(parts, where, bridge)
         counters: Counters = []
@@ -70,7 +73,7 @@ def fly(config: Config, path: Path, stop: Callable[[], bool]) -> RunResult | Non
         counters += [imu.counters, camera.counters]
         bridge.listen(imu.heard)
         flight.view = _view(flight, parts, where, time.time_ns() - time.monotonic_ns())
-        return _fly(flight, camera, systemd, _status_file(config, where), loaded)
+        return _fly(flight, camera, systemd, file, loaded)
 
 
 @contextmanager
@@ -209,11 +212,30 @@ def _link(bridge: Bridge) -> Iterator[None]:
         bridge.stop()
 
 
-def _met(bridge: Bridge, patience_s: float, stop: Callable[[], bool], systemd: Systemd) -> bool:
-    """Wait for the vehicle; false: told to stop. LinkError where none comes in time."""
-    until = time.monotonic() + patience_s
+def _met(
+    bridge: Bridge,
+    patience_s: float,
+    stop: Callable[[], bool],
+    systemd: Systemd,
+    file: Path | None = None,
+) -> bool:
+    """Wait for the vehicle, and say so; false: told to stop. LinkError where none comes in time.
+
+    file: the status file, which says it each second.
+    """
+    began = said = wrote = time.monotonic()
+    until = began + patience_s
+    LOG.info("waiting for an autopilot at %s", bridge.config.url)
+    write_status(file, waiting_status(bridge.config.url, 0.0))
     while not stop():
-        left = until - time.monotonic()
+        now = time.monotonic()
+        left = until - now
+        if now - said >= _SAY_WAITING_S:
+            said = now
+            LOG.warning("still waiting: %s", bridge.no_vehicle(round(now - began)))
+        if now - wrote >= _WRITE_WAITING_S:
+            wrote = now
+            write_status(file, waiting_status(bridge.config.url, now - began))
         try:
             bridge.wait_for_vehicle(min(_LOOK_S, max(left, 0.01)))
             return True

@@ -113,12 +113,32 @@ class Status:
         return all(s is None or s < _FLOWS_S for s in silent)
 
     def _write(self, status: dict[str, Any]) -> None:
-        if self._file is None:
-            return
-        try:
-            write_atomic(self._file, json.dumps(status, indent=1) + "\n")
-            self._file_failed = False
-        except OSError as err:
-            if not self._file_failed:
-                LOG.warning("status file %s: %s", self._file, err.strerror or err)
-            self._file_failed = True
+        self._file_failed = not write_status(self._file, status, quiet=self._file_failed)
+
+
+def write_status(file: Path | None, status: dict[str, Any], *, quiet: bool = False) -> bool:
+    """Write the status file, if there is one; false, and a log line unless quiet: it failed."""
+    if file is None:
+        return True
+    try:
+        write_atomic(file, json.dumps(status, indent=1) + "\n")
+    except OSError as err:
+        if not quiet:
+            LOG.warning("status file %s: %s", file, err.strerror or err)
+        return False
+    return True
+
+
+def waiting_status(url: str, seconds: float) -> dict[str, Any]:
+    """The status while no autopilot has been heard, for so long on that link."""
+    return {
+        "state": "WAITING",
+        "reasons": ["no_autopilot"],
+        "vehicle": None,
+        "counts": {"frames": 0, "with_pose": 0, "imu": 0, "messages": 0},
+        "rates_hz": {},
+        "counters": {},
+        "alarms": [],
+        "sigma": None,
+        "line": f"WAITING for an autopilot at {url}, {seconds:.0f} s",
+    }

@@ -15,6 +15,9 @@ GAP_NS = 20_000_000  # a longer step is cut into sub-steps of the mean
 DEGRADED_NS = 200_000_000
 LOST_NS = 1_000_000_000
 _SATURATED = 100.0  # process noise of an axis at its limit, or held, is multiplied by this
+# A stamp further ahead waits for the next one: believed, a corrupt one of 0.99 s costs all samples
+# of that time and 0.4 m; one of 0.1 s costs what a gap of 0.1 s does.
+_LEAP_NS, _LEAP_PERIODS = 100_000_000, 5
 _SUB_STEP_NS = 10_000_000
 
 
@@ -46,34 +49,74 @@ class ImuIntake:
         self.counters: Counter[str] = Counter()
         self._gate = SampleGate(gyro_max, accel_max, self.counters)
         self._newest_ns: int | None = None  # stamp of the newest sample taken, held or not
+        self._newest_arrival_ns = 0
         self._odd_ns: int | None = None  # stamp of one that came far from it
+        self._ahead: ImuSample | None = None  # one whose stamp leaps: the next tells
         self._before: ImuSample | None = None
         self._was_wide: BoolArray | None = None  # axes of the sample before that were doubtful
 
     def take(self, sample: ImuSample) -> tuple[list[Interval], bool]:
         """Intervals that this sample completes, and whether the time before it is lost."""
         self.counters["imu"] += 1
-        six = np.concatenate([sample.gyro_I, sample.accel_I])
-        if not np.isfinite(six).all():
+        if not np.isfinite(_six(sample)).all():
             self.counters["imu_not_finite"] += 1
             return [], False
+        out: list[Interval] = []
+        doubtful = self._settled(sample)
+        if doubtful is not None:
+            self._newest_ns, self._newest_arrival_ns = doubtful.t_ns, doubtful.arrival_ns
+            out, gone = self._integrated(doubtful)
+            if gone:
+                return out, True
         newest, lost = self._newest_ns, False
         if newest is not None and sample.t_ns <= newest:
             self.counters["imu_backward"] += 1
             if newest - sample.t_ns <= LOST_NS:
-                return [], False
+                return out, False
         if newest is not None and abs(sample.t_ns - newest) > LOST_NS:
             odd, self._odd_ns = self._odd_ns, sample.t_ns
             if odd is None or abs(sample.t_ns - odd) > LOST_NS:
                 self.counters["imu_stamp_jump"] += 1  # one alone may be a corrupt stamp
-                return [], False
+                return out, False
             self.counters["imu_lost"] += 1  # a pause, or the clock has started anew
             lost = True
             self._forget()
+        elif newest is not None and self._leaps(sample, newest):
+            self._ahead = sample
+            return out, False
         self._odd_ns = None
-        self._newest_ns = sample.t_ns
+        self._newest_ns, self._newest_arrival_ns = sample.t_ns, sample.arrival_ns
+        more, gone = self._integrated(sample)
+        return (more if lost or gone else out + more), lost or gone
+
+    def _leaps(self, sample: ImuSample, newest: int) -> bool:
+        """Whether a stamp is ahead by more than its arrival can explain: a gap, or corrupt."""
+        ahead = sample.t_ns - newest
+        if ahead <= max(_LEAP_NS, _LEAP_PERIODS * self._period_ns):
+            return False
+        known = sample.arrival_ns != sample.t_ns  # else nobody noted when it came
+        return not (known and 2 * (sample.arrival_ns - self._newest_arrival_ns) > ahead)
+
+    def _settled(self, sample: ImuSample) -> ImuSample | None:
+        """The sample that waited for what its stamp means, where this one shows it was right.
+
+        One that falls before it shows that its stamp was corrupt: it is dropped and counted.
+        """
+        held, newest = self._ahead, self._newest_ns
+        if held is None or newest is None or sample.t_ns <= newest:
+            return None
+        if sample.t_ns - held.t_ns > LOST_NS:
+            return None  # this one's own stamp is no better
+        self._ahead = None
+        if sample.t_ns <= held.t_ns:
+            self.counters["imu_stamp_jump"] += 1
+            return None
+        return held
+
+    def _integrated(self, sample: ImuSample) -> tuple[list[Interval], bool]:
+        """Intervals that a sample of a stamp that is believed completes; lost as in `take`."""
         out: list[Interval] = []
-        for one in self._gate.take(sample, six):
+        for one in self._gate.take(sample, _six(sample)):
             if one.held is NOTHING_HELD:
                 out += self._advance(one, None)
                 continue
@@ -83,10 +126,11 @@ class ImuIntake:
                 self._forget()
                 return [], True
             out += self._advance(one, held_ns)
-        return out, lost
+        return out, False
 
     def _forget(self) -> None:
         self._gate.clear()
+        self._ahead = None
         self.meter.reset()
         self._before, self._was_wide = None, None
 
@@ -96,7 +140,7 @@ class ImuIntake:
         held_ns (6,): for how long each axis is held; None: none is.
         """
         before, sample = self._before, one.sample
-        six = np.concatenate([sample.gyro_I, sample.accel_I])
+        six = _six(sample)
         self._before = sample
         wide = np.abs(six) >= self._limit
         doubtful = bool(wide.any())
@@ -136,3 +180,7 @@ class ImuIntake:
         scale = scale * (span / self._period_ns) ** 2
         edges = [before.t_ns + span * i // pieces for i in range(pieces + 1)]
         return [Interval(a, b, gyro, accel, scale) for a, b in pairwise(edges)]
+
+
+def _six(sample: ImuSample) -> Array:
+    return np.concatenate([sample.gyro_I, sample.accel_I])

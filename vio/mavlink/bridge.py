@@ -118,6 +118,13 @@ class Bridge:
             LOG.warning("%s: %s; trying on", self.config.url, err.strerror or err)
         self._thread.start()
 
+    def try_link(self) -> None:
+        """Open the link and close it, nothing sent; fails, or warns, as `start` would."""
+        try:
+            open_transport(self._address).close()
+        except OSError as err:
+            LOG.warning("%s: %s; a flight would try on", self.config.url, err.strerror or err)
+
     def wait_for_vehicle(self, timeout_s: float) -> str:
         """The autopilot's name once it is heard; LinkError if none is that is known."""
         vehicle = self.companion.vehicle

@@ -17,7 +17,7 @@ from vio.localize.run import RunResult, Sink, run
 from vio.localize.stopwatch import Stopwatch
 from vio.localize.warmup import warm_all
 from vio.offline.choice import Choice, open_all
-from vio.offline.diagnostics import REJECTED, run_warnings, stopped, verdicts
+from vio.offline.diagnostics import REJECTED, CornerFit, run_warnings, stopped, verdicts
 from vio.setup_check.watch import SetupWatch
 from vio.sources.flight_log.log import FlightLog
 from vio.sources.imu_check import check_imu, check_stamps
@@ -91,7 +91,8 @@ def replay_log(
     vio, warnings = None if vio_too is None else localizer, [] if vo_only else _imu_words(log)
     book, diary, look = _inspectors(log, config, vio) if inspect else (None, None, _no_look)
     shown = _view(log, config, vio, view)
-    looks = _both(setup.look, look if shown is None else _both(look, shown.look))
+    fit = CornerFit()
+    looks = _all(setup.look, fit.look, look, *([] if shown is None else [shown.look]))
     sinks: list[Sink] = [setup, *([] if shown is None else [shown])]
     try:
         with progress(log.frame_count, "frames") as step, gently() as stop:
@@ -110,7 +111,7 @@ def replay_log(
         raise LogError(f"{log.path}: not one of {log.frame_count} images could be read"
                        f" ({'; '.join(log.warnings)})")  # fmt: skip
     warnings += run_warnings(
-        log, result, vio, explained=bool(setup.findings), all_tags=choice.only_tags is None
+        log, result, vio, fit, {f.code for f in setup.findings}, all_tags=choice.only_tags is None
     )
     said = [*log.warnings, *warnings, *stopped(log, result, early=ended)]
     refused = setup.certain and not force
@@ -149,12 +150,10 @@ def _view(
     return shown
 
 
-def _both(
-    one: "Callable[[Trace], None]", other: "Callable[[Trace], None]"
-) -> "Callable[[Trace], None]":
+def _all(*looks: "Callable[[Trace], None]") -> "Callable[[Trace], None]":
     def look(trace: "Trace") -> None:
-        one(trace)
-        other(trace)
+        for one in looks:
+            one(trace)
 
     return look
 

@@ -50,6 +50,11 @@ def check_imu(track: ImuTrack, frames_t_ns: IntArray, where: str) -> list[str]:
     if int(known.sum()) < _ROWS:
         return [f"{where}: {int(known.sum())} valid IMU rows; the filter needs {_ROWS} and more"]
     rate, force = float(np.median(gyro[known])), float(np.median(accel[known]))
+    if abs(rate / _GRAVITY - 1.0) < _TOLERANCE and force < _SPINNING:
+        raise LogError(
+            f"{where}: the median angular rate is {rate:.3g}, median specific force {force:.3g}:"
+            " do the accelerometer's columns stand first? gyro rad/s, then force m/s^2 are needed"
+        )
     if rate > _SPINNING:
         raise LogError(
             f"{where}: the median angular rate is {rate:.3g}; rad/s are needed, is this deg/s?"

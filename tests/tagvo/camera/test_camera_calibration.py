@@ -230,7 +230,7 @@ def test_a_saved_camera_is_read_back(tmp_path_factory, data, kind, shift) -> Non
     R_CI = geo.exp(np.array(data.draw(st.lists(finite, min_size=3, max_size=3))))
     camera = Camera(
         model,
-        np.array(data.draw(st.lists(st.floats(1e-3, 1e5), min_size=4, max_size=4))),
+        np.array(data.draw(st.lists(st.floats(1.0, 1e5), min_size=4, max_size=4))),
         np.array(data.draw(numbers), dtype=float),
         (data.draw(st.integers(1, 9999)), data.draw(st.integers(1, 9999))),
         R_CI,
@@ -273,3 +273,25 @@ def test_every_real_camera_file_is_read() -> None:
         camera = load_camera(path)
         assert min(camera.resolution) > 0
         assert camera_to_yaml(camera).startswith("cam0:")
+
+
+@pytest.mark.parametrize("focal", [1e-300, 0.5])
+def test_a_focal_length_that_is_none_names_file_and_key(tmp_path: Path, focal: float) -> None:
+    with pytest.raises(CameraError, match=r"camera.yaml cam0 intrinsics: .*at least 1 pixel"):
+        load(tmp_path, edited(KALIBR, intrinsics=[focal, 460.0, 362.0, 246.0]))
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"resolution": [1, 1]}, "resolution: 1x1 pixels hold no tag"),
+        ({"resolution": [320, 240]}, "lies outside of 320x240 pixels"),
+        ({"distortion_coeffs": [-90.0, 0.0, 0.0, 0.0]}, "folds the image"),
+    ],
+)
+def test_an_absurd_calibration_earns_a_word(
+    tmp_path: Path, fields: dict[str, object], said: str
+) -> None:
+    assert load(tmp_path, KALIBR).notes == ()
+    (note,) = load(tmp_path, edited(KALIBR, **fields)).notes
+    assert said in note

@@ -198,3 +198,24 @@ def test_a_changed_copy_finds_its_own_rows():
 @pytest.mark.parametrize("name", ["tag36h11", "TAG36H11", "DICT_APRILTAG_36h11"])
 def test_families_by_any_of_their_names(name):
     assert family_named(name, "t").name == "tag36h11"
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"sigma": {"xy": 1e20}}, "sigma xy: 1e+20; at most 10 metres"),
+        ({"sigma": {"tilt_deg": 46}}, "sigma tilt_deg: 46; at most 45 degrees"),
+        (
+            {"gravity": {"dir": [0, 0, -1], "sigma_deg": 0}},
+            "sigma_deg: 0; a positive number of degrees",
+        ),
+    ],
+)
+def test_sigmas_have_bounds_in_their_units(keys, said):
+    data = {
+        "family": "tag36h11",
+        "tags": [{"id": 0, "size": 0.1, "p": [0, 0, 0], "q": [1, 0, 0, 0]}],
+    }
+    with pytest.raises(MapError) as caught:
+        map_from_dict({**data, **keys}, "m")
+    assert said in str(caught.value)

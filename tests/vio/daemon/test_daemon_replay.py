@@ -1,5 +1,6 @@
 """`tagvio replay` into an in-test autopilot: poses on time and stamped; what users get wrong."""
 
+import json
 import re
 import shutil
 import socket
@@ -176,6 +177,37 @@ def test_check_says_that_all_is_there_and_sends_nothing(images, tmp_path):
     (tmp_path / "images").symlink_to(images)
     path = write_config(tmp_path, free_port())
     assert call_main("daemon", "--check", "--config", str(path)) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("serial:/dev/nosuch:921600", "serial:/dev/nosuch:921600: no such device"),
+        ("/dev/nosuch", "serial:/dev/nosuch:921600: no such device"),
+        ("serial:/dev/null:921600", "is no serial line"),
+        ("serial:/dev/null:1234567", "is not to be had here; one of "),
+        ("udpin:nosuch.invalid:14550", "udpin:nosuch.invalid:14550: no such host"),
+    ],
+)
+def test_check_opens_the_link_as_a_flight_does(images, tmp_path, url, text):
+    (tmp_path / "images").symlink_to(images)
+    path = write_config(tmp_path, free_port())
+    checked = call_main("daemon", "--check", "--config", str(path), "--set", f"mavlink.url={url}")
+    one_line(checked, text)
+    assert call_main("daemon", "--config", str(path), "--set", f"mavlink.url={url}") == checked
+
+
+def test_who_waits_for_an_autopilot_says_so(images, tmp_path, monkeypatch, caplog):
+    (tmp_path / "images").symlink_to(images)
+    monkeypatch.setattr("vio.daemon.main._SAY_WAITING_S", 0.1)
+    path = write_config(tmp_path, free_port(), vehicle_wait_s=0.6)
+    with caplog.at_level("INFO", "vio.daemon"):
+        one_line(call_main("daemon", "--config", str(path)), "no heartbeat of an autopilot in")
+    said = [record.getMessage() for record in caplog.records]
+    assert any(text.startswith("waiting for an autopilot at udpin:") for text in said)
+    assert any("still waiting: mavlink.url" in text for text in said)
+    status = json.loads((tmp_path / "status.json").read_text())
+    assert (status["state"], status["reasons"]) == ("WAITING", ["no_autopilot"])
 
 
 def test_a_port_in_use_is_one_line(images, tmp_path, flying):

@@ -181,3 +181,38 @@ def test_a_clock_that_starts_anew_is_followed(shift_ns):
         if one.take(sample(k, six, stamps[k]))[1]:
             lost.append(k)
     assert lost == [251]  # the second of the new stamps confirms them
+
+
+@pytest.mark.parametrize("noted", [False, True])
+@pytest.mark.parametrize("ahead_ns", [150_000_000, 500_000_000, 990_000_000])
+def test_a_corrupt_stamp_ahead_costs_its_own_sample_alone(ahead_ns, noted):
+    """noted: whether the arrival is known besides the stamp."""
+    one = intake()
+    rows, steps, late = resting(300), [], 3_000_000 * noted
+    for k, six in enumerate(rows):
+        t_ns = k * STEP_NS
+        stamp = t_ns + (ahead_ns if k == 250 else 0)
+        arrival = t_ns + late if noted else stamp
+        found, lost = one.take(replace(sample(k, six, stamp), arrival_ns=arrival))
+        assert not lost
+        steps += found
+    assert one.counters["imu_stamp_jump"] == 1
+    assert one.counters["imu_backward"] == 0
+    assert [s.t_ns for s in steps] == [k * STEP_NS for k in range(1, 300) if k != 250]
+
+
+@pytest.mark.parametrize("noted", [False, True])
+def test_a_real_gap_is_bridged_with_the_next_sample_at_latest(noted):
+    one, gap_ns, steps, known = intake(), 400_000_000, [], []
+    for k, six in enumerate(resting(300)):
+        t_ns = k * STEP_NS + (gap_ns if k >= 250 else 0)
+        arrival = t_ns + 3_000_000 * noted
+        found, lost = one.take(replace(sample(k, six, t_ns), arrival_ns=arrival))
+        assert not lost
+        known += [k] * len(found)
+        steps += found
+    assert one.counters["imu_gap"] == 1
+    assert one.counters["imu_stamp_jump"] == 0
+    assert steps[-1].t_ns == 299 * STEP_NS + gap_ns
+    assert sum(s.t_ns - s.t0_ns for s in steps) == steps[-1].t_ns
+    assert (250 in known) == noted  # without a word on its arrival, the next one tells

@@ -102,7 +102,10 @@ def test_swapped_names_are_followed(tmp_path: Path) -> None:
         ("t [s],w_x,w_y,w_z,a_x,a_y,a_z\n1,2,3,4,5,6,7\n", "is in s; ns"),
         ("t,w_x [deg/s],w_y,w_z,a_x,a_y,a_z\n1,2,3,4,5,6,7\n", "is in deg/s"),
         ("t,w_x,w_y,w_z,a_x [g],a_y,a_z\n1,2,3,4,5,6,7\n", "is in g"),
-        ("#timestamp;w_x;w_y;w_z;a_x;a_y;a_z\n1;2;3;4;5;6;7\n", "no column"),
+        (
+            "#timestamp;w_x;w_y;w_z;a_x;a_y;a_z\n1;2;3;4;5;6;7\n",
+            "separator ; found, a comma is needed",
+        ),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:

@@ -59,8 +59,25 @@ def read_table(path: Path, layout: Layout, tally: Tally) -> Table:
     if len(table) == 0:
         causes = [k for k in tally.counters if k.startswith(f"{layout.what}_")]
         why = f" (rows came, but: {', '.join(causes)})" if causes else ""
+        if f"{layout.what}_not_a_whole_number" in causes:
+            why += _in_seconds(path, at, columns, layout)
         raise LogError(f"{path}: no valid row{why}; {layout.meaning} is needed")
     return table
+
+
+def _in_seconds(path: Path, header_at: int, columns: dict[str, int], layout: Layout) -> str:
+    """Where the first row has a decimal number for a whole one, as stamps in seconds are."""
+    with open_lines(path, LogError) as lines:
+        rows = ((n, split(line)) for n, line in enumerate(lines, 1) if n > header_at + 1)
+        number, cells = next(((n, cells) for n, cells in rows if cells), (0, []))
+    for name in (n for n in layout.ints if columns[n] < len(cells)):
+        cell = cells[columns[name]].strip()
+        if re.fullmatch(r"[+-]?\d+\.\d*[1-9]\d*", cell, re.A):
+            hint = ": seconds?" if name.startswith("t_") else ""
+            return (
+                f"; line {number} column {columns[name] + 1}: {cell[:40]} is no whole number{hint}"
+            )
+    return ""
 
 
 def _header(lines: Iterator[str], layout: Layout, path: Path) -> tuple[int, list[str]]:
@@ -72,6 +89,9 @@ def _header(lines: Iterator[str], layout: Layout, path: Path) -> tuple[int, list
         remark = text.startswith("#") and short
         if not text or remark:
             continue
+        if len(cells) < len(layout.order) and text.count(";") >= len(layout.order) - 1:
+            raise LogError(f"{path}: separator ; found, a comma is needed;"
+                           f" {layout.meaning}")  # fmt: skip
         if any(_NUMBER.fullmatch(cell.strip()) for cell in cells):
             raise LogError(f"{path}: no header line; {layout.meaning} is needed")
         return at, [cell.rstrip("\n") for cell in cells]

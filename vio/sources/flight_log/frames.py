@@ -20,6 +20,8 @@ from vio.sources.flight_log.options import LogOptions
 from vio.sources.flight_log.tally import Tally
 from vio.sources.image_file import decoded
 
+_BEYOND_PX = 3.0  # corners of a tag cut by the edge are extrapolated by up to a cell
+_BEYOND_SHARE = 0.01  # of the tags: april, aviary and line5 have none
 _NO_TAGS = Detections.of(np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)))
 
 
@@ -29,8 +31,8 @@ class FrameSource:
 
     t_ns (n,), arrival_ns (n,); received_ns (n,): when an image came from the camera, before its
     tags were known; image_path of each, None: take its corners; corners: by stamp, None where the
-    log has no detections.csv; first_ns: stamp of the camera's first frame, whether offered or not;
-    resolution (width, height) [px] of the calibration.
+    log has no detections.csv; first_ns, last_ns: stamps of the camera's first and latest
+    frame, offered or not; resolution (width, height) [px] of the calibration.
     """
 
     t_ns: IntArray
@@ -39,6 +41,7 @@ class FrameSource:
     image_path: list[Path | None]
     corners: Mapping[int, Detections] | None
     first_ns: int
+    last_ns: int
     resolution: tuple[int, int]
     tally: Tally
 
@@ -88,6 +91,7 @@ def open_frames(
     table = None
     if (folder / "detections.csv").exists():
         table = read_detections(folder / "detections.csv", tally)
+        _doubt_resolution(table.tags, resolution, folder / "detections.csv", tally)
     frames = _frame_list(folder, table, tally)
     corners = None if table is None else _by_stamp(table, frames, folder, options, tally)
     if options.use_detections and corners is None:
@@ -112,9 +116,25 @@ def open_frames(
         [images[i] for i in rows.tolist()],
         corners,
         int(frames.t_ns[0]),
+        int(frames.t_ns.max()),
         resolution,
         tally,
     )
+
+
+def _doubt_resolution(
+    tags: Detections, resolution: tuple[int, int], path: Path, tally: Tally
+) -> None:
+    """Note corners that no image of the calibration's size can hold."""
+    low, high = tags.corners_px.min(axis=1), tags.corners_px.max(axis=1)
+    size = np.array(resolution)
+    beyond = ((low < -_BEYOND_PX) | (high > size - 1 + _BEYOND_PX)).any(axis=-1)
+    if beyond.sum() > _BEYOND_SHARE * len(tags):
+        right, bottom = np.ceil(tags.corners_px.max(axis=(0, 1)) + 0.5).astype(int)
+        needed = "x".join(map(str, resolution))
+        tally.note(f"{path}: corners of {int(beyond.sum())} of {len(tags)} tags lie outside the"
+                   f" camera file's {needed} pixels (they fill {right}x{bottom}): is it of another"
+                   " camera or resolution?")  # fmt: skip
 
 
 def _frame_list(folder: Path, table: DetectionTable | None, tally: Tally) -> FrameList:

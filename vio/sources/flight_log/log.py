@@ -32,6 +32,9 @@ NEEDS = (
 Event = ImuSample | Frame | Ground
 T = TypeVar("T")
 _GROUND = "mav0/vehicle0/data.csv"
+_END_NS = 1_000_000_000  # a camera may start before its IMU, and end after it, by less
+_CLOCKS_NS = 100_000_000  # what two clocks, and the middle of an exposure, may differ
+_FARTHEST_M = 1e4  # of a vehicle from the middle of its flight: as far as a map's tags may lie
 _TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
 
@@ -190,6 +193,8 @@ def _warn(log: FlightLog) -> None:
         tally.note(text)
     if log.truth is not None and _apart(t_ns, log.truth.t_ns):
         tally.note(f"{log.path}: truth and frames do not overlap in time")
+    _note_ends(log)
+    _note_impossible(log)
     if log.imu is None:
         return
     if log.imu_noise is None:
@@ -200,6 +205,46 @@ def _warn(log: FlightLog) -> None:
         tally.note(f"{log.camera.source}: the camera's pose is that of the IMU; no T_cam_imu?")
     early = int(np.sum(t_ns < log.imu.t_ns.min()))
     tally.count("frame_before_imu", f"{log.path}: frames before the first IMU sample", early)
+
+
+def _note_ends(log: FlightLog) -> None:
+    """Note what begins later or ends earlier than another of IMU, frames and truth, in seconds."""
+    shift_ns = round(log.camera.timeshift_s * 1e9)
+    spans = {"frames": (log.frames.first_ns + shift_ns, log.frames.last_ns + shift_ns)}
+    for name, track in (("IMU", log.imu), ("truth", log.truth)):
+        if track is not None:
+            spans[name] = int(track.t_ns.min()), int(track.t_ns.max())
+    if any(a[0] > b[1] for a in spans.values() for b in spans.values()):
+        return  # they do not overlap, which is said already
+    for name, (first, last) in spans.items():
+        if name == "frames" and "IMU" not in spans:
+            continue
+        other = "IMU sample" if name == "frames" else "frame"
+        beside = spans["IMU" if name == "frames" else "frames"]
+        late, early = first - beside[0], beside[1] - last
+        if late > _END_NS:
+            text = f"begin{'s' * (name != 'frames')} {1e-9 * late:.1f} s after the first {other}"
+            log.tally.note(f"{log.path}: the {name} {text}")
+        if early > _END_NS:
+            text = f"end{'s' * (name != 'frames')} {1e-9 * early:.1f} s before the last {other}"
+            log.tally.note(f"{log.path}: the {name} {text}")
+
+
+def _note_impossible(log: FlightLog) -> None:
+    """Count what cannot be: known before it was captured, truth that leaps away."""
+    shift_ns = round(log.camera.timeshift_s * 1e9)
+    early = int(np.sum(log.frames.arrival_ns < log.frames.t_ns + shift_ns - _CLOCKS_NS))
+    text = f"{log.path}: frames known before their own capture; is arrival_ns in the IMU's clock?"
+    log.tally.count("frame_arrival_before_capture", text, early)
+    if log.imu is not None:
+        early = int(np.sum(log.imu.arrival_ns < log.imu.t_ns - _CLOCKS_NS))
+        text = f"{log.path}: IMU samples known before their own stamp; is arrival_ns in its clock?"
+        log.tally.count("imu_arrival_before_stamp", text, early)
+    if log.truth is not None:
+        p_W = log.truth.p_WI
+        far = np.linalg.norm(p_W - np.median(p_W, axis=0), axis=-1) > _FARTHEST_M
+        text = f"{log.path}: truth more than {_FARTHEST_M:g} m from its median, and judged by"
+        log.tally.count("truth_far", text, int(far.sum()))
 
 
 def _apart(a_ns: IntArray, b_ns: IntArray) -> bool:
