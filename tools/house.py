@@ -110,6 +110,29 @@ def wide_kernels(found: list[Module]) -> list[str]:
     ]
 
 
+def wide_groups(found: list[Module]) -> list[str]:
+    """Named tuples with more fields than a kernel's argument list may have."""
+    groups = [
+        (f"{module.name}.{n.name}", sum(isinstance(item, ast.AnnAssign) for item in n.body))
+        for module in found
+        for n in ast.walk(module.tree)
+        if isinstance(n, ast.ClassDef) and any(ast.unparse(b) == "NamedTuple" for b in n.bases)
+    ]
+    return [f"{name} ({fields})" for name, fields in groups if fields > MOST_ARGUMENTS]
+
+
+def component_loops(found: list[Module]) -> Counter[str]:
+    """Loops over 3 or 6 components outside `tagvo.kernels`, by module."""
+    count: Counter[str] = Counter()
+    for module in found:
+        if module.name.startswith("tagvo.kernels"):
+            continue
+        for node in ast.walk(module.tree):
+            if isinstance(node, ast.For) and ast.unparse(node.iter) in ("range(3)", "range(6)"):
+                count[module.name] += 1
+    return count
+
+
 def _share(part: int, whole: int) -> str:
     return f"{100.0 * part / max(whole, 1):.1f} % of {whole}"
 
@@ -143,6 +166,9 @@ def main() -> None:
           f" arguments: {len(wide)}")  # fmt: skip
     for name in wide:
         print(f"  {name}")
+    groups, loops = wide_groups(found), component_loops(found)
+    print(f"groups with more than {MOST_ARGUMENTS} fields: {len(groups)} {' '.join(groups)}")
+    print(f"loops over 3 or 6 outside kernels: {sum(loops.values())} {dict(loops)}")
     print(f"bodies over {LONG_BODY} lines: {len(long)} {' '.join(long)}")
     print(f"docstrings of public functions: {_share(len(documented), len(public))}")
     print(f"annotated: {_share(len(typed), len(every))}")

@@ -72,12 +72,7 @@ def replay_log(
     inspect: also keep what was seen of the map and what the filter believed, for a report; view:
     port and MCAP file of a live view; force: run on where the set-up is wrong beyond doubt.
     """
-    log, config = open_all(choice)
-    if needs_truth and log.truth is None:
-        raise EvaluationError(
-            f"{log.path}: no truth to compare with;"
-            " mav0/state_groundtruth_estimate0/data.csv is needed (`tagvio run` needs none)"
-        )
+    log, config = _opened(choice, needs_truth)
     with waiting("loading compiled code (the first run compiles it, up to a minute)"):
         vio_too = None if vo_only or log.imu is None else config.vio
         warm_all(log.tag_map, log.camera, config.tagvo, vio_too)
@@ -118,6 +113,17 @@ def replay_log(
     return Replayed(
         log, config, result, watch.summary(), vio, said, setup.findings, refused, book, diary
     )
+
+
+def _opened(choice: Choice, needs_truth: bool) -> tuple[FlightLog, Config]:
+    """As `open_all`; EvaluationError where truth is needed and the log has none."""
+    log, config = open_all(choice)
+    if needs_truth and log.truth is None:
+        raise EvaluationError(
+            f"{log.path}: no truth to compare with;"
+            " mav0/state_groundtruth_estimate0/data.csv is needed (`tagvio run` needs none)"
+        )
+    return log, config
 
 
 def _setup_watch(log: FlightLog, vo_only: bool) -> SetupWatch:
