@@ -1,1 +1,1 @@
-"""Compiled mathematics: the only place where loops over components stand."""
+"""Compiled mathematics that several modules share: rotations, small linear algebra, projection."""

@@ -38,7 +38,7 @@ class PriorConfig(_Model):
         default=8.0,
         ge=1e-3,
         le=180.0,
-        description="gravity's direction, where neither map nor rest knows it [deg]",
+        description="gravity's direction, where the map does not say it [deg]",
     )
     lever_arm_m: float = Field(
         default=0.01,

@@ -42,7 +42,7 @@ def moment(history: History, t_ns: int | None) -> Moment | None:
         propagate(x, P, s.imu[k], dt, q, model.layout)
     up_W = geo.matrix_from_quat(x[at.X_QWL : at.X_QWL + 4])[:, 2]
     w_I = s.imu[k, 0:3] - x[at.X_BG : at.X_BG + 3]
-    sigma = float(np.sqrt(np.diag(P)[at.LEVEL : at.BASE].max()))
+    sigma = float(np.sqrt(np.diag(P)[at.LEVEL : at.LEVEL + 2].max()))
     return Moment(due - td_ns, nav_state(due, x, P), w_I, -up_W, sigma)
 
 

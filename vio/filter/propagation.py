@@ -179,5 +179,5 @@ def propagate(
     add_noise(P, R_mid, dt, q, imu[6:12], layout)
     if layout.pose_bias != at.OFF:
         keep = math.exp(-dt * q.pose_bias_rate)
-        for i in range(at.X_BIAS, at.X_PIC):
+        for i in range(at.X_BIAS, at.X_BIAS + 6):
             x[i] *= keep

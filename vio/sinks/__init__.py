@@ -1,1 +1,1 @@
-"""Where results go: files that other tools read, later links and live views."""
+"""Where results go: files that other tools read, and live views."""

@@ -1,1 +1,1 @@
-"""Where events come from: a flight log, later cameras and links; all tell time in their data."""
+"""Where events come from: flight logs, live cameras and links; all tell time in their data."""

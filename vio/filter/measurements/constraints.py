@@ -44,20 +44,21 @@ def opened(variance: float, first: int, count: int) -> Array:
 @njit
 def update_still(x: Array, P: Array, z: Array, gate: float, layout: at.Layout) -> tuple[int, float]:
     """Correct by a velocity of zero; z: variance [m^2/s^2] an axis."""
-    S, r = P[at.V : at.TH, at.V : at.TH].copy(), -x[at.X_V : at.X_Q]
+    S, r = P[at.V : at.V + 3, at.V : at.V + 3].copy(), -x[at.X_V : at.X_V + 3]
     for i in range(len(r)):
         S[i, i] += z[0]
     nis = distance(S, r, 0, len(r))
     if not nis <= GATE_3 * gate:
         return kinds.REJECTED, nis
-    good = cholesky(S) and downdate(x, P, S, P[at.V : at.TH].copy(), r, layout)
+    good = cholesky(S) and downdate(x, P, S, P[at.V : at.V + 3].copy(), r, layout)
     return (kinds.ACCEPTED if good else kinds.SINGULAR), nis
 
 
 @njit
 def update_rotation(x: Array, P: Array, z: Array, layout: at.Layout) -> tuple[int, float]:
     """Correct by the extrinsic rotation as calibrated; z (5,): q_IC and an axis's variance."""
-    S, r, q = P[at.EX : at.TD, at.EX : at.TD].copy(), np.empty(3), x[at.X_QIC : at.X_TD].copy()
+    S, r = P[at.EX : at.EX + 3, at.EX : at.EX + 3].copy(), np.empty(3)
+    q = x[at.X_QIC : at.X_QIC + 4].copy()
     q[1:] = -q[1:]
     turn_quat(q, 0, (z[0], z[1], z[2], z[3]))
     r[:] = 2.0 * q[1:] if q[0] > 0.0 else -2.0 * q[1:]
@@ -65,7 +66,7 @@ def update_rotation(x: Array, P: Array, z: Array, layout: at.Layout) -> tuple[in
     for i in range(len(r)):
         S[i, i] += variance
     nis = distance(S, r, 0, len(r))
-    good = cholesky(S) and downdate(x, P, S, P[at.EX : at.TD].copy(), r, layout)
+    good = cholesky(S) and downdate(x, P, S, P[at.EX : at.EX + 3].copy(), r, layout)
     return (kinds.ACCEPTED if good else kinds.SINGULAR), nis
 
 
@@ -76,7 +77,7 @@ def update_clock(x: Array, P: Array, z: Array, layout: at.Layout) -> tuple[int, 
     L[0, 0] = math.sqrt(P[at.TD, at.TD] + z[1])
     r[0] = z[0] - x[at.X_TD]
     nis = (r[0] / L[0, 0]) ** 2
-    good = downdate(x, P, L, P[at.TD : at.LEVEL].copy(), r, layout)
+    good = downdate(x, P, L, P[at.TD : at.TD + 1].copy(), r, layout)
     return (kinds.ACCEPTED if good else kinds.SINGULAR), nis
 
 
