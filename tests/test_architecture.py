@@ -44,7 +44,7 @@ COPYLEFT = {  # GPL, LGPL-linked or noncommercial: never at run time
 CLOCKS = {"time", "time_ns", "perf_counter", "perf_counter_ns", "monotonic", "monotonic_ns",
           "process_time", "now", "utcnow", "today"}  # fmt: skip
 HEAVY = ("numpy", "cv2", "scipy", "numba", "filterpy", "plotly", "matplotlib", "pydantic", "yaml",
-         "apriltag", "pymavlink", "joblib", "rich.progress", "rich.table")  # fmt: skip
+         "apriltag", "pymavlink", "joblib", "jinja2", "rich.progress", "rich.table")  # fmt: skip
 
 
 def dotted(path: Path) -> str:
