@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import house
@@ -44,7 +45,7 @@ COPYLEFT = {  # GPL, LGPL-linked or noncommercial: never at run time
 CLOCKS = {"time", "time_ns", "perf_counter", "perf_counter_ns", "monotonic", "monotonic_ns",
           "process_time", "now", "utcnow", "today"}  # fmt: skip
 HEAVY = ("numpy", "cv2", "scipy", "numba", "filterpy", "plotly", "matplotlib", "pydantic", "yaml",
-         "apriltag", "pymavlink", "joblib", "rich.progress", "rich.table")  # fmt: skip
+         "apriltag", "pymavlink", "joblib", "jinja2", "rich.progress", "rich.table")  # fmt: skip
 
 
 def dotted(path: Path) -> str:
@@ -52,6 +53,7 @@ def dotted(path: Path) -> str:
     return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
+@cache
 def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
@@ -121,12 +123,13 @@ def test_no_modules_import_each_other_in_a_circle():
 
 
 def test_folders_hold_what_a_reader_can_hold():
-    for folder, entries in house.folders(house.modules(ROOT)).items():
+    folders = house.folders(house.modules(ROOT))
+    for folder, entries in folders.items():
         if folder in ("", "tagvo", "vio"):
             continue
         assert 2 <= len(entries) <= 18, f"{folder} holds {len(entries)}: {entries}"
     for package in ("tagvo", "vio"):
-        root = [n for n in house.folders(house.modules(ROOT))[package] if not n.endswith("/")]
+        root = [n for n in folders[package] if not n.endswith("/")]
         assert len(root) <= 8, f"{package}: {root}"
 
 

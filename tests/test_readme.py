@@ -4,7 +4,6 @@ The demo's log is made once a run, whoever needs it first; each section's comman
 their own, so that workers share them.
 """
 
-import fcntl
 import json
 import os
 import re
@@ -23,6 +22,7 @@ from doc_pages import (
     text_of,
     written_calls,
 )
+from once import once
 
 README = text_of(ROOT / "README.md")
 TAGVIO = [sys.executable, "-c", "from vio.cli import main; main()"]
@@ -47,15 +47,12 @@ def run(words, cwd):
 @pytest.fixture(scope="session")
 def demo(tmp_path_factory):
     """The folder where `tagvio demo --quick` has run, and what it said; once for all workers."""
-    base = tmp_path_factory.getbasetemp()
-    shared = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "readme"
-    shared.mkdir(exist_ok=True)
-    with (shared / "lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (shared / "said").exists():
-            output = run(["demo", "--out", "demo", "--quick"], shared)
-            (shared / "said").write_text(output, encoding="utf-8")
-    return shared
+
+    def make(shared):
+        output = run(["demo", "--out", "demo", "--quick"], shared)
+        (shared / "said").write_text(output, encoding="utf-8")
+
+    return once(tmp_path_factory, "readme", make)
 
 
 @pytest.fixture

@@ -18,6 +18,13 @@ from vio.cli import main
 T0, STEP = 1_403_638_519_492_829_441, 50_000_000
 R_CI, P_CI = geo.exp(np.array([0.1, -0.2, 1.5])), np.array([0.03, 0.10, -0.05])
 TIMESHIFT_S = -0.004
+# Two seconds over the arena, for `tagvio simulate`.
+SHORT = [
+    "flight.name=waypoints", "flight.waypoints=[[0,1.5,2.0,0.9,0],[2,1.5,2.6,1.2,20]]",
+    "flight.takeoff=false", "scene.texture.kind=plain", "imu.raw_hz=null", "imu.low_pass=null",
+    "stream.rate_hz=10",
+]  # fmt: skip
+SET_SHORT = [x for s in SHORT for x in ("--set", s)]
 
 
 @dataclass(frozen=True)

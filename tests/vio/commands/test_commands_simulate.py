@@ -11,8 +11,9 @@ import time
 
 import numpy as np
 import pytest
-from cli_calls import tagvio
+from cli_calls import SET_SHORT, SHORT, tagvio
 from numpy.testing import assert_allclose
+from once import once
 
 from tagvo import geometry as geo
 from tagvo.camera.calibration import load_camera
@@ -21,17 +22,11 @@ from vio.evaluate.truth import clean_truth, interpolate
 from vio.sim.scenario import load_scenario
 from vio.sources.flight_log.log import FlightLog
 
-SHORT = [
-    "flight.name=waypoints", "flight.waypoints=[[0,1.5,2.0,0.9,0],[2,1.5,2.6,1.2,20]]",
-    "flight.takeoff=false", "scene.texture.kind=plain", "imu.raw_hz=null", "imu.low_pass=null",
-    "stream.rate_hz=10",
-]  # fmt: skip
 PLAIN = ["--set", "scene.texture.kind=plain"]
-MORE = [x for s in SHORT for x in ("--set", s)]
 
 
 def simulate(out, *words, scenario="t1_qr"):
-    return tagvio("simulate", scenario, "--out", out, *MORE, *words)
+    return tagvio("simulate", scenario, "--out", out, *SET_SHORT, *words)
 
 
 def digest(folder):
@@ -42,14 +37,15 @@ def digest(folder):
     return sums.hexdigest()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def written(tmp_path_factory):
-    out = tmp_path_factory.mktemp("sim") / "log"
-    done = simulate(out, "--detections")
-    assert done.code == 0, done.err
-    assert "frames, 801 IMU samples" in done.out or "frames, 800 IMU samples" in done.out
-    assert "leaning by up to" in done.err
-    return out
+    def make(root):
+        done = simulate(root / "log", "--detections")
+        assert done.code == 0, done.err
+        assert "frames, 801 IMU samples" in done.out or "frames, 800 IMU samples" in done.out
+        assert "leaning by up to" in done.err
+
+    return once(tmp_path_factory, "simulated", make) / "log"
 
 
 def test_the_log_is_a_flight_log_like_any_other(written):
@@ -162,7 +158,7 @@ def test_images_show_the_map_where_the_true_camera_sees_it(tmp_path):
 
 def test_ctrl_c_while_images_are_drawn(tmp_path):
     out = tmp_path / "log"
-    with start(out, *MORE) as process:
+    with start(out, *SET_SHORT) as process:
         wait_for(out / "mav0/cam0/data.csv", 200)
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)

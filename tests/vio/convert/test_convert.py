@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_calls import tagvio
+from cli_calls import SET_SHORT, tagvio
 from flying_log import write_flying_log
 from numpy.testing import assert_allclose, assert_array_equal
-from test_commands_simulate import MORE
+from once import once
 
 from tagvo import geometry as geo
 from tagvo.records import Frame
@@ -29,18 +29,22 @@ from bag_writer import Bag, bag_of  # noqa: E402
 TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def rendered(tmp_path_factory):
-    """Two seconds of images, IMU and truth."""
-    out = tmp_path_factory.mktemp("rendered") / "log"
-    done = tagvio("simulate", "t1_qr", "--out", out, *MORE)
-    assert done.code == 0, done.err
-    return out
+    """Two seconds of images, IMU and truth, once for all workers."""
+
+    def make(root):
+        done = tagvio("simulate", "t1_qr", "--out", root / "log", *SET_SHORT)
+        assert done.code == 0, done.err
+
+    return once(tmp_path_factory, "rendered", make) / "log"
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def flown(rendered, tmp_path_factory):
-    return run(rendered, tmp_path_factory.mktemp("flown"))
+    """The trajectory of `rendered`, byte by byte."""
+    root = once(tmp_path_factory, "flown", lambda root: run(rendered, root / "out"))
+    return (root / "out/vio.tum").read_bytes()
 
 
 def run(log, out):

@@ -32,7 +32,7 @@ import sys; sys.path[:0] = [{str(FUZZ.parent)!r}]
 import os, time, fuzz
 from fuzz_inputs import Reader
 from pathlib import Path
-fuzz.HANG_S, fuzz.MEMORY_KB = 0.2, 50 * 1024
+fuzz.MEMORY_KB = 50 * 1024
 fuzz.watch()
 good = b"0" * 50
 def read(path, harm):
@@ -42,6 +42,7 @@ def fill(): return len(bytes(range(256)) * (1 << 19))
 faults = {{"traceback": lambda: 1 / 0, "hang": lambda: time.sleep(9), "over_memory": fill}}
 folder = Path({str(tmp_path)!r})
 for name, harm in faults.items():
+    fuzz.HANG_S = 0.05 if name == "hang" else 5.0
     found = fuzz.batch(Reader("x", "x", [good], lambda p: read(p, harm)), "1", 3, folder, None)
     assert found[name] > 0, (name, found)
 died = Reader("x", "x", [good], lambda p: read(p, lambda: os._exit(9)))

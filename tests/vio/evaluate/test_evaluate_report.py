@@ -6,12 +6,15 @@ import re
 import numpy as np
 import pytest
 from evaluate_flights import empty, estimate, make_truth, stamps
+from jinja2 import UndefinedError
 from numpy.testing import assert_allclose
 
 from tagvo.tags.tag_map import map_from_dict
 from vio.evaluate.compare import comparison
 from vio.evaluate.report import polylines
+from vio.evaluate.report.html import render
 from vio.evaluate.report.report import Extra, share_outside, write_report
+from vio.evaluate.report.sections import Picture
 from vio.evaluate.report.verdict import verdict
 
 TAGS = [{"id": i, "size": 0.2, "p": [0.5 * i, 0.0, 0.0], "q": [1, 0, 0, 0]} for i in range(3)]
@@ -59,6 +62,19 @@ def test_the_page_is_whole_offline_and_below_8_mb(tmp_path, tag_map):
     assert "axes-vo-0" not in body  # VO states no covariance here
     assert "prefers-color-scheme: dark" in text
     assert 'name="viewport"' in text
+
+
+def test_a_moment_is_shown_with_what_it_says_and_its_image(tmp_path):
+    extra = Extra(moments=(Picture('a < b & "c"', b"\xff\xd8", (560, 420)),))
+    _, body = write(tmp_path / "r.html", trajectories()[:1], extra=extra)
+    assert "<figcaption>a &lt; b &amp; &#34;c&#34;</figcaption>" in body
+    assert 'viewBox="0 0 560 420"' in body
+    assert 'href="data:image/jpeg;base64,/9g="' in body
+
+
+def test_what_a_page_is_not_given_is_an_error():
+    with pytest.raises(UndefinedError, match="'body' is undefined"):
+        render("page.html", title="t", library="")
 
 
 def test_the_verdict_stands_before_every_figure(tmp_path):

@@ -1,8 +1,6 @@
-"""Parts of the report that are tables and pictures in plain HTML."""
+"""What the report shows besides the figures of plotly: tables, suspects, moments."""
 
-import base64
-import html
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,11 +13,6 @@ from vio.evaluate.moved_tags import Judgement
 from vio.evaluate.report.verdict import label
 from vio.evaluate.tag_sightings import Sightings
 
-NIS = (
-    "Innovation of each frame's pose against what the filter expected, per degree of freedom, and"
-    " where 95 % lie for a filter that is exactly right (dashed). The filter trusts correlated"
-    " errors less on purpose (vio.r_inflation), so it lies below."
-)
 _BY = {
     "phase": "By phase",
     "height_m": "By height over the map [m]",
@@ -41,28 +34,55 @@ class Picture:
     size: tuple[int, int]
 
 
-def breakdown_html(evaluation: Mapping[str, Any]) -> str:
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Cells of text under their heads; the first column is words."""
+
+    title: str
+    head: list[str]
+    rows: list[list[str]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspect:
+    """A tag that lies elsewhere than the map says: by how much (3,) in W, found in how many frames.
+
+    distance: of the offset in sigmas.
+    """
+
+    tag_id: int
+    offset_cm: Array
+    distance: float
+    frames: int
+
+    @property
+    def size_cm(self) -> float:
+        """Length of the offset."""
+        return float(np.linalg.norm(self.offset_cm))
+
+
+def breakdown_tables(evaluation: Mapping[str, Any]) -> list[Table]:
     """Errors by what they depend on, drift, axes and consistency, a column an estimator."""
     if not evaluation:
-        return ""
-    parts = []
-    for key, title in _BY.items():
-        of = {name: whole["by"].get(key, {}) for name, whole in evaluation.items()}
+        return []
+    head = ["", *map(label, evaluation)]
+    parts = {
+        title: {name: whole["by"].get(key, {}) for name, whole in evaluation.items()}
+        for key, title in _BY.items()
+    }
+    parts["Drift"] = {
+        name: {f"over {span}": figures for span, figures in whole["relative"].items()}
+        for name, whole in evaluation.items()
+    }
+    out = []
+    for title, of in parts.items():
         rows = list(dict.fromkeys(row for bins in of.values() for row in bins))
-        if rows:
-            cells = [[row, *(_pair(bins.get(row)) for bins in of.values())] for row in rows]
-            parts.append(f"<h3>{title}</h3>{table(['', *map(label, of)], cells)}")
-    drifts = {name: whole["relative"] for name, whole in evaluation.items()}
-    rows = list(dict.fromkeys(row for of in drifts.values() for row in of))
-    if rows:
-        cells = [[f"over {row}", *(_pair(of.get(row)) for of in drifts.values())] for row in rows]
-        parts.append(f"<h3>Drift</h3>{table(['', *map(label, drifts)], cells)}")
-    parts.append(f"<h3>Axes, covariance, age</h3>{_honesty(evaluation)}")
-    said = "Position rms [mm] / rotation rms [deg]; live errors but for the drift."
-    return f'<h2>Where the errors are</h2>\n<p class="soft">{said}</p>' + "\n".join(parts)
+        cells = [[row, *(_pair(bins.get(row)) for bins in of.values())] for row in rows]
+        out += [Table(title, head, cells)] if rows else []
+    return [*out, Table("Axes, covariance, age", head, _honesty(evaluation))]
 
 
-def _honesty(evaluation: Mapping[str, Any]) -> str:
+def _honesty(evaluation: Mapping[str, Any]) -> list[list[str]]:
     names = list(evaluation)
     lines: list[list[str]] = []
     for title, part, key, factor, digits in (
@@ -81,66 +101,45 @@ def _honesty(evaluation: Mapping[str, Any]) -> str:
         if any(v is not None for v in values):
             shown = ["-" if v is None else f"{factor * v:.{digits}f}" for v in values]
             lines.append([title, *shown])
-    return table(["", *map(label, names)], lines)
+    return lines
 
 
-def suspects_html(tags: Judgement, seen: Sightings, tag_map: TagMap) -> str:
-    """Suspect tags with where they were found, and tags that the joint pose rejects often."""
-    parts = ["<h2>The map</h2>"]
+def suspects(tags: Judgement, tag_map: TagMap) -> list[Suspect]:
+    """Tags that lie elsewhere than the map says, the worst first."""
     bad = np.flatnonzero(tags.suspect)
-    judged = f"{len(tags.row)} tags were seen in enough frames to be judged"
-    if not len(bad):
-        parts.append(f"<p>No tag is suspect: {judged}.</p>")
-    else:
-        cells = []
-        for k in bad[np.argsort(-tags.distance[bad])]:
-            x, y, z = 100.0 * tags.offset_W[k]
-            tag_id = int(tag_map.tag_id[tags.row[k]])
-            cells.append([
-                f"tag {tag_id} disagrees by {100.0 * np.linalg.norm(tags.offset_W[k]):.1f} cm",
-                f"{x:+.1f} {y:+.1f} {z:+.1f}", f"{tags.distance[k]:.0f}", str(tags.frames[k]),
-                f"{100.0 * _share(seen, tag_id):.0f} %",
-            ])  # fmt: skip
-        head = ["", "x y z cm", "sigmas", "frames", "rejected"]
-        parts.append(f"<p>Suspect tags; {judged}.</p>{table(head, cells)}")
-    often = [(_share(seen, t), n, t) for t, n in seen.seen.items() if n >= _FEW]
-    often = sorted((row for row in often if row[0] > _OFTEN), reverse=True)[:_REJECTED]
-    if often:
-        cells = [[f"tag {t}", f"{100 * share:.0f} %", str(n)] for share, n, t in often]
-        rows = table(["", "rejected", "of frames"], cells)
-        parts.append(f"<h3>Often rejected by the joint pose</h3>{rows}")
-    return "\n".join(parts)
+    return [
+        Suspect(
+            int(tag_map.tag_id[tags.row[k]]),
+            100.0 * tags.offset_W[k],
+            float(tags.distance[k]),
+            int(tags.frames[k]),
+        )
+        for k in bad[np.argsort(-tags.distance[bad])]
+    ]
 
 
 def suspect_lines(tags: Judgement, tag_map: TagMap) -> list[str]:
     """The suspects in words, one a line, the worst first."""
-    bad = np.flatnonzero(tags.suspect)
     out = []
-    for k in bad[np.argsort(-tags.distance[bad])]:
-        x, y, z = 100.0 * tags.offset_W[k]
-        size = 100.0 * float(np.linalg.norm(tags.offset_W[k]))
+    for tag in suspects(tags, tag_map):
+        x, y, z = tag.offset_cm
         out.append(
-            f"tag {tag_map.tag_id[tags.row[k]]} disagrees with the map by {size:.1f} cm"
-            f" ({x:+.1f}, {y:+.1f}, {z:+.1f}) in {tags.frames[k]} frames: moved, or laid badly?"
+            f"tag {tag.tag_id} disagrees with the map by {tag.size_cm:.1f} cm"
+            f" ({x:+.1f}, {y:+.1f}, {z:+.1f}) in {tag.frames} frames: moved, or laid badly?"
         )
     return out
 
 
-def moments_html(moments: Sequence[Picture]) -> str:
-    """Pictures with their captions."""
-    if not moments:
-        return ""
-    shown = "".join(
-        f"<figure><figcaption>{html.escape(m.caption)}</figcaption>"
-        f'<svg role="img" aria-label="{html.escape(m.caption)}" style="width:100%"'
-        f' viewBox="0 0 {m.size[0]} {m.size[1]}"><image width="{m.size[0]}" height="{m.size[1]}"'
-        f' href="data:image/jpeg;base64,{base64.b64encode(m.jpeg).decode()}"/></svg></figure>'
-        for m in moments
-    )
-    return (
-        '<h2>Worst moments</h2>\n<p class="soft">What the camera saw: tags in use outlined,'
-        f' rejected ones crossed out.</p><div class="pair">{shown}</div>'
-    )
+def rejected_share(seen: Sightings) -> dict[int, float]:
+    """By tag id, the share of its frames in which the joint pose gave it little weight."""
+    return {tag_id: seen.rejected[tag_id] / max(n, 1) for tag_id, n in seen.seen.items()}
+
+
+def often_rejected(seen: Sightings) -> list[tuple[int, float, int]]:
+    """Tags that the joint pose rejects often, the worst first: tag id, share, frames."""
+    share = rejected_share(seen)
+    often = [(share[t], n, t) for t, n in seen.seen.items() if n >= _FEW and share[t] > _OFTEN]
+    return [(t, x, n) for x, n, t in sorted(often, reverse=True)[:_REJECTED]]
 
 
 def blackouts(t_ns: IntArray, count: IntArray) -> list[tuple[int, int]]:
@@ -156,39 +155,16 @@ def blackouts(t_ns: IntArray, count: IntArray) -> list[tuple[int, int]]:
     return [(int(used[k]), int(used[k + 1])) for k in gaps]
 
 
-def beliefs(
-    diary: Diary,
-) -> Iterator[tuple[str, tuple[Array, Array], tuple[float, str], str]]:
-    """What a diary holds to draw: name, values and sigmas, factor and unit, caption."""
+def beliefs(diary: Diary) -> Iterator[tuple[str, tuple[Array, Array], tuple[float, str]]]:
+    """What a diary holds to draw: name, values and sigmas, factor and unit."""
     deg = 180.0 / np.pi
-    yield ("gyro", diary.gyro_bias, (deg, "deg/s"), "Gyro bias, with 3 sigma (dotted).")
-    yield ("accel", diary.accel_bias, (1.0, "m/s²"), "Accelerometer bias.")
-    yield (
-        "camera", diary.camera_rotation, (deg, "deg"),
-        "The camera's rotation, less that of the calibration file.",
-    )  # fmt: skip
-    yield ("offset", diary.time_offset, (1e3, "ms"), "Time offset of the camera.")
-
-
-def table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """An HTML table whose first column is words."""
-    titles = "".join(f"<th>{html.escape(t)}</th>" for t in head)
-    body = "".join(
-        '<tr><td class="left">'
-        + html.escape(line[0])
-        + "</td>"
-        + "".join(f"<td>{html.escape(cell)}</td>" for cell in line[1:])
-        + "</tr>"
-        for line in lines
-    )
-    return f'<div class="wide"><table><tr>{titles}</tr>{body}</table></div>'
+    yield "gyro", diary.gyro_bias, (deg, "deg/s")
+    yield "accel", diary.accel_bias, (1.0, "m/s²")
+    yield "camera", diary.camera_rotation, (deg, "deg")
+    yield "offset", diary.time_offset, (1e3, "ms")
 
 
 def _pair(figures: Mapping[str, Any] | None) -> str:
     if not figures or figures.get("position_rmse_m") is None:
         return "-"
     return f"{1e3 * figures['position_rmse_m']:.1f} / {figures['rotation_rmse_deg']:.2f}"
-
-
-def _share(seen: Sightings, tag_id: int) -> float:
-    return seen.rejected[tag_id] / max(seen.seen[tag_id], 1)
