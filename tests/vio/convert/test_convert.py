@@ -248,11 +248,11 @@ def test_attitudes_between_anchors_are_those_that_the_gyro_flew():
     rate = np.stack([np.sin(3 * t), 0.5 * np.cos(2 * t), 0.3 + 0 * t], axis=-1)
     R = [np.eye(3)]
     fine = 20  # an independent, much finer integration
-    for k in range(len(t) - 1):
-        for j in range(fine):
-            s = t[k] + (t[k + 1] - t[k]) * (j + 0.5) / fine
-            w = np.array([np.sin(3 * s), 0.5 * np.cos(2 * s), 0.3])
-            R.append(R[-1] @ geo.exp(w * (t[1] - t[0]) / fine))
+    step_s = (t[1] - t[0]) / fine
+    s = (np.arange(fine * (len(t) - 1)) + 0.5) * step_s
+    w = np.stack([np.sin(3 * s), 0.5 * np.cos(2 * s), 0.3 + 0 * s], axis=-1)
+    for turn in geo.exp(w * step_s):
+        R.append(R[-1] @ turn)
     q = geo.quat_from_matrix(np.stack(R[::fine]))
     ns = np.rint(t * 1e9).astype(np.int64)
     anchors, bias = np.arange(0, 2001, 40), np.array([0.01, -0.02, 0.01])
