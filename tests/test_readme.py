@@ -201,7 +201,7 @@ def test_readme_ci_and_the_check_script_are_of_one_mind():
     first, second = console_lines(README)[:2]
     assert install in first
     assert second == "tools/check"
-    assert "pip install -q -e '.[test]'" in ci
+    assert "pip install -q --no-compile -e '.[test]'" in ci
     assert re.search(r"^tools/check$", ci, re.MULTILINE)
     assert install in check
     assert 'mkdocs" build --strict' in check

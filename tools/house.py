@@ -4,8 +4,8 @@ One line a figure. `tests/test_architecture.py` holds what of it is a rule; this
 stands. No import is made: it runs on any checkout (`python tools/house.py [ROOT]`).
 """
 
+import argparse
 import ast
-import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -139,7 +139,9 @@ def _share(part: int, whole: int) -> str:
 
 def main() -> None:
     """Print the figures of a checkout."""
-    root = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1]
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("root", nargs="?", type=Path, default=Path(__file__).parents[1])
+    root = parser.parse_args().root
     found = modules(root)
     by_folder = {k: v for k, v in folders(found).items() if k}
     every = [(module, f) for module in found for f in functions(module)]

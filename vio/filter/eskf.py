@@ -205,9 +205,9 @@ class ErrorStateFilter:
         if not self._started:
             config = self._config.health
             return judge(None, self._resets, self._waiting, config, self._distrust)
-        now_ns, P = self._history.now_ns, self._history.P
-        sigma_m = float(np.sqrt(np.diag(P)[at.P : at.P + 3].max()))
-        sigma_deg = float(np.degrees(np.sqrt(np.diag(P)[at.TH : at.TH + 3].max())))
+        now_ns, variances = self._history.now_ns, self._history.P.diagonal()
+        sigma_m = float(np.sqrt(variances[at.P : at.P + 3].max()))
+        sigma_deg = float(np.degrees(np.sqrt(variances[at.TH : at.TH + 3].max())))
         degraded = self._intake.degraded_at_ns
         recent = degraded is not None and now_ns - degraded < 10 * DEGRADED_NS
         age = max(0.0, (now_ns - self._accepted_ns) * 1e-9)

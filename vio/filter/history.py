@@ -293,9 +293,14 @@ class History:
         return int(np.searchsorted(due, self.snapshots.t[k], side="right"))
 
     def _refilter(self, first: int, last: int, j: int) -> None:
-        self._span[:] = first, last, j, self.count
-        s = self.snapshots
-        refilter(self._span, s.t, s.imu, s.x, s.P, self._times, self._z, self._packed)
+        span, s = self._span, self.snapshots
+        span[0], span[1], span[2], span[3] = (
+            first,
+            last,
+            j,
+            self.count,
+        )  # an array, as a whole, is slow
+        refilter(span, s.t, s.imu, s.x, s.P, self._times, self._z, self._packed)
 
     def _drop_ticks(self) -> None:
         gone = self.last + 1 - self._keep_ticks

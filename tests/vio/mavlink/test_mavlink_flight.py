@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from flights import CAMERA, Estimator, ImuSample, PoseNoise, events, feed, fly
+from flights import CAMERA, ErrorStateFilter, ImuSample, PoseNoise, events, feed, fly
 from test_mavlink_protocol import beat
 
 from tagvo.records import PoseMeasurement
@@ -20,7 +20,7 @@ NOISE = PoseNoise(white=(0.01, 0.3), slow=(0.0, 0.0), outliers=0.03, dropouts=0,
 def flown(valid_at, seconds=12.0):
     """True flight, and (now, fields) of all poses that left; the camera's stamps are 30 ms off."""
     flight = fly("T3", 2, NOISE, seconds=seconds)
-    estimator = Estimator(VioConfig(), CAMERA, PIXHAWK)
+    estimator = ErrorStateFilter(VioConfig(), CAMERA, PIXHAWK)
     config = {"origin": None, "imu": {"message": "none"}, "map_heading_deg": HEADING,
               "valid_at": valid_at}  # fmt: skip
     companion = Companion(MavlinkConfig.model_validate(config), np.eye(3), np.zeros(3), 0,
