@@ -102,7 +102,9 @@ def judge(folder, force=True):
             i = int(np.searchsorted(truth.t_ns, out.t_ns))
             if i < len(truth) and abs(int(truth.t_ns[i]) - out.t_ns) < 3_000_000:
                 R = geo.matrix_from_quat(truth.q_WI[i])
-                errors.append((np.r_[out.p_WI - truth.p_WI[i], geo.log(R.T @ out.R_WI)], out.cov))
+                errors.append(
+                    (np.r_[out.p_WI - truth.p_WI[i], geo.log(R.T @ out.R_WI)], out.cov[:6, :6])
+                )
 
     watch = watch if with_imu else SetupWatch(log.camera, log.tag_map, with_imu=False)
     run(log.events(), localizer, sinks=[Keep()], look=watch.look,
