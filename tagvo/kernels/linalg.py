@@ -169,6 +169,13 @@ def copy(A: Array, out: Array) -> None:
 
 
 @bare
+def assign(v: Array, out: Array) -> None:
+    """out (n,) := v."""
+    for i in range(out.shape[0]):
+        out[i] = v[i]
+
+
+@bare
 def add_times(A: Array, v: Array, out: Array) -> None:
     """out (n,) += A v; A (n, m), v (m,)."""
     for i in range(A.shape[0]):

@@ -11,7 +11,7 @@ import numpy as np
 from tagvo.geometry import Array
 from tagvo.kernels import projection
 from tagvo.kernels.jit import bare, njit
-from tagvo.kernels.linalg import backward, cholesky, forward
+from tagvo.kernels.linalg import assign, backward, cholesky, copy, forward
 from tagvo.kernels.so3 import rotated
 from tagvo.records import Observations, TagPoses
 
@@ -187,7 +187,7 @@ def _step(R: Array, p: Array, H: Array, work: _Work) -> bool:
     return True
 
 
-@njit
+@bare
 def _refine(R: Array, p: Array, seen: _Corners, steps: int, H: Array, work: _Work) -> float:
     """Gauss-Newton steps on R, p in place while they lower the cost; H (6, 6) at the end.
 
@@ -202,7 +202,10 @@ def _refine(R: Array, p: Array, seen: _Corners, steps: int, H: Array, work: _Wor
         )
         if not cost_new < cost:
             break
-        R[:], p[:], H[:], work.g[:] = work.R_new, work.p_new, work.H_new, work.g_new
+        copy(work.R_new, R)
+        assign(work.p_new, p)
+        copy(work.H_new, H)
+        assign(work.g_new, work.g)
         square, settled = square_new, cost - cost_new < 1e-6 * cost
         cost = cost_new
         if settled:

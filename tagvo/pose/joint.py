@@ -12,7 +12,7 @@ import numpy as np
 from tagvo.config import JointConfig
 from tagvo.geometry import Array
 from tagvo.kernels.jit import bare, njit
-from tagvo.kernels.linalg import add_square, cholesky, forward, inverse_spd, multiply
+from tagvo.kernels.linalg import add_square, cholesky, copy, forward, inverse_spd, multiply
 from tagvo.kernels.tag_residual import SYSTEMATIC, TagBatch, tag_rows
 from tagvo.pose.levenberg_marquardt import Work, evaluate, minimise, step
 
@@ -42,11 +42,10 @@ class JointPose:
 @njit
 def _systematic(R: Array, p: Array, tags: TagBatch, P: Array, work: Work) -> Array:
     """Shift of the pose by one sigma of each systematic error; (6, 3)."""
-    sums = np.zeros((6, SYSTEMATIC))
-    rows = work.rows
+    sums, B, rows = np.zeros((6, SYSTEMATIC)), np.empty((8, SYSTEMATIC)), work.rows
     for i in range(len(work.chi2)):
         tag_rows(R, p, tags, i, rows, work.L, work.small)
-        B = tags.shift_px[i].copy()
+        copy(tags.shift_px[i], B)
         forward(work.factors[i], rows)
         forward(work.factors[i], B)
         for k in range(8):
