@@ -128,8 +128,8 @@ class TagPoses:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BodyPoses:
-    """One pose of the body in the map from each tag; the paper's T_WB_i (B is the IMU, I).
+class ImuPoses:
+    """One pose of the IMU in the map from each tag; the paper's T_WB_i, where I is called B.
 
     tag_id (n,); size (n,) border side [m]; level (n,) h = log2(size / smallest in the map);
     area_px (n,) image area [px^2]; p_WI (n, 3) [m]; R_WI (n, 3, 3).
@@ -145,8 +145,8 @@ class BodyPoses:
     def __len__(self) -> int:
         return len(self.tag_id)
 
-    def __getitem__(self, rows: BoolArray | IntArray) -> "BodyPoses":
-        return BodyPoses(
+    def __getitem__(self, rows: BoolArray | IntArray) -> "ImuPoses":
+        return ImuPoses(
             self.tag_id[rows],
             self.size[rows],
             self.level[rows],

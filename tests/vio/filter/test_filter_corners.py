@@ -7,7 +7,7 @@ from test_filter_propagation import BIASED, FULL, PLAIN, a_state, minus, retract
 from test_filter_update import W, predicted, spread_of
 
 from tagvo import geometry as geo
-from tagvo.config import FloorConfig
+from tagvo.config import IntrinsicsErrorConfig
 from tagvo.kernels.tag_residual import residual_covariance, tag_rows
 from tagvo.records import Observations
 from tagvo.tags.tag_map import map_from_dict
@@ -17,7 +17,7 @@ from vio.filter.measurements import corners, kinds
 from vio.filter.measurements.camera import camera_jacobian
 
 F, CENTRE, SIGMA = 500.0, np.array([320.0, 240.0]), 0.4
-FLOOR = FloorConfig(focal_rel=0.002, principal_px=0.3)
+FLOOR = IntrinsicsErrorConfig(focal_rel=0.002, principal_px=0.3)
 TRUST = Trust(1.0, 0.0, 0.0, 1.0)
 
 

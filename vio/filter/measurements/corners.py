@@ -9,7 +9,7 @@ Derivation: docs/filter/measurements.md; against all corners stacked: test_filte
 
 import numpy as np
 
-from tagvo.config import FloorConfig
+from tagvo.config import IntrinsicsErrorConfig
 from tagvo.geometry import Array
 from tagvo.kernels.jit import njit
 from tagvo.kernels.linalg import (
@@ -44,7 +44,11 @@ NUMBERS = int(sum(np.prod(shape) for shape in _SHAPES))  # a tag
 
 
 def pack(
-    seen: Observations, tag_map: TagMap, centre_px: Array, floor: FloorConfig, max_tags: int
+    seen: Observations,
+    tag_map: TagMap,
+    centre_px: Array,
+    floor: IntrinsicsErrorConfig,
+    max_tags: int,
 ) -> Array | None:
     """The tags of a frame as a row of the history: at most max_tags, the largest first.
 
