@@ -77,10 +77,11 @@ def _fly(log: Path, quick: bool) -> None:
     flight = demo.demo_flight()
     frame_ns, truth_ns = demo.stamps(quick)
     t = demo.seconds(truth_ns)
-    q_WI = geo.quat_from_matrix(flight.R_WI(t))
+    true = flight(t)
+    q_WI = geo.quat_from_matrix(true.R_WI)
     with LogWriter(log, replace=True) as writer:
         writer.setup(tag_map, camera, PIXHAWK)
-        for row in zip(truth_ns.tolist(), flight.p(t), q_WI, flight.v(t), strict=True):
+        for row in zip(truth_ns.tolist(), true.p_WI, q_WI, true.v_WI, strict=True):
             writer.truth(*row)
         for sample in demo.imu_samples(flight, PIXHAWK, quick):
             writer.imu(sample)

@@ -42,12 +42,16 @@ def smoothed(t_s: Array, p_W: Array, yaw: Array) -> BSpline:
 
 
 def flight(t_s: Array, p_W: Array, yaw: Array, R_WL: Array | None = None) -> Flight:
-    """A vehicle that follows commanded points (k, 3) and yaw (k,) [rad] at times (k,), smoothed.
+    """A vehicle that follows commanded points (k, 3) and yaw (k,) [rad] at times (k,), smoothed."""
+    return along(smoothed(t_s, p_W, yaw), R_WL)
+
+
+def along(spline: BSpline, R_WL: Array | None = None) -> Flight:
+    """A vehicle that follows a spline of x, y, z [m] and yaw [rad].
 
     It tilts as a multirotor must: its z along the specific force. R_WL (3, 3): a level frame in the
     map, whose z is up; None: the map's z is up (points and yaw are then those of the map).
     """
-    spline = smoothed(t_s, p_W, yaw)
     first, second = spline.derivative(1), spline.derivative(2)
     turn = np.eye(3) if R_WL is None else R_WL
 
