@@ -8,7 +8,6 @@ import numpy as np
 from tagvo.camera.model import Camera
 from tagvo.config import TagvoConfig
 from tagvo.detect import Detector, make_detector
-from tagvo.detect.apriltag import AprilTagDetector
 from tagvo.detect.blur import corner_sigma, edge_spread
 from tagvo.detect.edge_profile import Gray, cell_width
 from tagvo.detect.protocol import gray_image
@@ -35,7 +34,6 @@ from tagvo.records import (
     TagPoses,
 )
 from tagvo.tags.tag_map import TagMap
-from tagvo.track.policy import exact
 from tagvo.track.tracker import Tracker
 
 
@@ -130,7 +128,9 @@ class TagVO:
             found, self.tag_map, cfg.filters, self.camera.resolution
         )
         counts |= how
-        obs, counts["not_undistorted"] = observe(det, rows, self.camera, cfg.noise.corner_px)
+        obs, counts["not_undistorted"] = observe(
+            det, rows, self.camera, cfg.noise.corner_px, frame.camera
+        )
         if not len(obs):
             reason = "no_tags" if not len(found) else "no_usable_tags"
             return Trace(frame.t_ns, found, counts, obs, reason=reason)
@@ -147,7 +147,7 @@ class TagVO:
         joint, pose, reason = None, None, "inconsistent"
         if fused.cov is not None:
             pose = measure_fused(
-                frame.t_ns, (fused.R_WC, fused.p_WC), fused.cov, obs.tag_id, kept, candidates,
+                frame.t_ns, (fused.R_WC, fused.p_WC), fused.cov, obs, kept, candidates,
                 {*flags, *mean_flags},
             )  # fmt: skip
         else:
@@ -205,12 +205,7 @@ class TagVO:
                 d.library, family, border_bits=bits, decimate=d.decimate,
                 max_hamming=d.max_hamming, threads=d.threads,
             )  # fmt: skip
-        if isinstance(self._detector, AprilTagDetector) and cfg.track.adaptive:
-            found = self._detector.detect(gray, decimate)
-            if cfg.detector.decimate is None:
-                found = found[exact(found.corners_px, decimate)]
-        else:
-            found = self._detector.detect(gray)
+        found = self._detector.detect(gray, decimate if cfg.track.adaptive else None)
         if not len(found):
             return found
         if not cfg.noise.blur:
@@ -267,4 +262,4 @@ class TagVO:
             joint, misfit = with_hidden_shift(joint, tags)
             gap /= misfit
         reject = cfg.joint.reject_weight
-        return joint, measure_joint(t_ns, joint, rival, gap, obs.tag_id, reject)
+        return joint, measure_joint(t_ns, joint, rival, gap, obs, reject)

@@ -12,7 +12,7 @@ from tagvo.tags.tag_map import TagMap
 
 
 def observe(
-    det: Detections, rows: IntArray, camera: Camera, corner_px: float
+    det: Detections, rows: IntArray, camera: Camera, corner_px: float, camera_index: int = 0
 ) -> tuple[Observations, int]:
     """Undistorted observations of n detections at these rows of the map, and how many were lost.
 
@@ -21,7 +21,7 @@ def observe(
     """
     corners_n, J_px_n, valid = unproject(camera, det.corners_px)
     sigma = np.where(np.isnan(det.sigma_px), corner_px, det.sigma_px)
-    obs = Observations(rows, det.tag_id, det.corners_px, corners_n, J_px_n, sigma)
+    obs = Observations(rows, det.tag_id, det.corners_px, corners_n, J_px_n, sigma, camera_index)
     if valid.all():
         return obs, 0
     good = np.asarray(valid.all(axis=1))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagvo.config import TrackConfig
-from tagvo.geometry import Array, BoolArray, shortest_sides
+from tagvo.geometry import Array
 from tagvo.kernels.jit import bare
 from tagvo.kernels.linalg import cholesky
 from tagvo.records import PosePrior
@@ -19,7 +19,6 @@ _SAME_MOMENT_NS = 1_000_000  # a prior is for this frame when its stamp is this 
 _MAX_ROTATION_RAD = float(np.radians(6.0))  # beyond, the covariance is no ellipse in the image
 _DECIMATES = (1.5, 2.0, 3.0, 4.0)
 _SIDE_PX, _ENOUGH_TAGS = 12.0, 8
-_EXACT_PX = 10.0  # of a side after decimation; below, corners are worse, at 3 and 4 by times
 _MOSAIC = 0.04  # half the difference of a mosaic's two diagonals, over the mean
 _UNIT = 1e-3  # how far a rotation may be from orthonormal
 _LEAST_VARIANCE, _SINGULAR = 1e-24, 1e-12  # of a coordinate; of what its correlations leave of it
@@ -197,7 +196,7 @@ def decimate_needed(sides_px: Array, size: Array, largest_only: bool) -> float |
     sides_px (k,): shortest image side of each tag in view, size (k,) [m]; largest_only: the
     selection keeps the two largest sizes in view and needs no others. Tags of eight
     pixels and more after decimation are found in sharp images; twelve leave room for blur and for
-    those that `exact` drops.
+    those that the detector drops for inexact corners.
     """
     if not len(sides_px):
         return None
@@ -206,10 +205,3 @@ def decimate_needed(sides_px: Array, size: Array, largest_only: bool) -> float |
         sides_px = sides_px[size >= classes[-min(2, len(classes))] - 1e-6]
     needed = np.sort(sides_px)[::-1][:_ENOUGH_TAGS][-1]
     return max((d for d in _DECIMATES if needed >= _SIDE_PX * d), default=_DECIMATES[0])
-
-
-def exact(corners_px: Array, decimate: float | None) -> BoolArray:
-    """Which quads (n, 4, 2) of a search are large enough to have exact corners; None: all."""
-    if decimate is None or decimate <= _DECIMATES[0]:
-        return np.ones(len(corners_px), dtype=bool)
-    return np.asarray(shortest_sides(corners_px) >= _EXACT_PX * decimate)

@@ -1,5 +1,7 @@
 """From detections to the measurement: trace, variants by name, frames with little or bad input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -122,6 +124,15 @@ def test_broken_and_unknown_tags_among_good_ones_change_nothing(pose):
         np.concatenate([bad[:1], det.corners_px, bad[1:]]),
     )
     assert same(vo(frame), vo(Frame(0, detections=more)))
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_the_camera_s_index_goes_with_the_frame_and_changes_nothing_else(pose):
+    frame, vo = frame_at(5).frame, vo_of(pose=pose)
+    trace = vo.trace(replace(frame, camera=2))
+    assert (trace.observations.camera, trace.observations[:2].camera, trace.pose.camera) == (2,) * 3
+    assert vo(frame).camera == 0
+    assert same(vo(frame), trace.pose)
 
 
 @pytest.mark.parametrize("pose", POSES)

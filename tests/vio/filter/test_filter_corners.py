@@ -1,8 +1,10 @@
 """The corner update against second ways: a camera model, finite differences, dense stacking."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from test_filter_propagation import BIASED, FULL, PLAIN, a_state, minus, retract
 from test_filter_update import W, predicted, spread_of
 
@@ -68,6 +70,14 @@ def rows_of(x, tags, i):
     assert tag_rows(R_WC, p_WC, tags, i, rows, L, np.empty((16, 3)))
     residual_covariance(L, tags.laying[i], tags.sigma_px[i], S)
     return rows[:, 0], rows[:, 1:], np.tril(S) + np.tril(S, -1).T
+
+
+def test_the_row_bears_the_camera_s_index():
+    x, tag_map, _ = scene(0)
+    obs = seen(x, tag_map)
+    row = packed(replace(obs, camera=3), tag_map)
+    assert (row[kinds.KIND], row[kinds.COUNT], row[kinds.CAMERA]) == (kinds.CORNERS, len(obs), 3)
+    assert_array_equal(row[kinds.HEAD :], packed(obs, tag_map)[kinds.HEAD :])
 
 
 def test_residual_and_its_jacobian():
