@@ -11,7 +11,7 @@ from tagvo.records import Detections, Frame
 from vio.records import ImuSample
 from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
 from vio.sim.world.trajectory import t3
-from vio.sinks.log import LogWriter
+from vio.sinks.log_writer import LogWriter
 
 START_NS = 1_700_000_000_000_000_000
 FRAME_HZ = 10

@@ -95,7 +95,7 @@ def photographs(folder: Path) -> tuple[TagMap, Camera, list[View]]:
     """The photographs of a folder with images/, camera.yaml and tagmap.yaml."""
     from tagvo.pipeline import TagVO
     from tagvo.records import Frame
-    from vio.sources.flight_log.frames import read_image
+    from vio.sources.flight_log.log_frames import read_image
 
     tag_map, camera = load_map(folder / "tagmap.yaml"), load_camera(folder / "camera.yaml")
     vo, rng, views = TagVO(camera, tag_map), np.random.default_rng(0), []

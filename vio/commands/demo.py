@@ -70,7 +70,7 @@ def _fly(log: Path, quick: bool) -> None:
     from vio.config.shipped import config_path
     from vio.sim import demo as demo
     from vio.sim.sensors.simple_imu import PIXHAWK
-    from vio.sinks.log import LogWriter
+    from vio.sinks.log_writer import LogWriter
 
     tag_map = load_map(config_path("maps/arena.yaml"))
     camera = demo.demo_camera(load_camera(config_path("cameras/arena.yaml")))

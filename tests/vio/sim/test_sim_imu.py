@@ -11,7 +11,7 @@ from strategies import seeds
 from tagvo import geometry as geo
 from vio.records import ImuNoise
 from vio.sim.sensors.clocks import Clock, delays, jittered, kept
-from vio.sim.sensors.imu import (
+from vio.sim.sensors.imu_model import (
     ImuModel,
     LowPass,
     drawn_lay,
@@ -25,9 +25,9 @@ from vio.sim.sensors.imu import (
 )
 from vio.sim.sensors.simple_imu import bias_walk, true_rates
 from vio.sim.world import course as crs
+from vio.sim.world.airframe import Harmonic, Rotors, hum, vibration
 from vio.sim.world.dynamics import DOWN_W, body_flight
 from vio.sim.world.trajectory import t1, t1_command
-from vio.sim.world.vehicle import Harmonic, Rotors, hum, vibration
 
 PERFECT = {
     "gyro_density": 0.0, "accel_density": 0.0, "gyro_walk": 0.0, "accel_walk": 0.0,
