@@ -8,8 +8,8 @@ import numpy as np
 from tagvo.camera.model import Camera
 from tagvo.config import TagvoConfig
 from tagvo.detect import Detector, make_detector
-from tagvo.detect.blur import corner_sigma, edge_spread
-from tagvo.detect.edge_profile import Gray, cell_width
+from tagvo.detect.blur import measured_sigma
+from tagvo.detect.edge_profile import Gray
 from tagvo.detect.protocol import gray_image
 from tagvo.detect.rejection import filter_detections
 from tagvo.errors import TagvoError
@@ -211,11 +211,8 @@ class TagVO:
         if not cfg.noise.blur:
             return replace(found, sigma_px=np.full((len(found), 4), cfg.noise.image_px))
         cells = family.border_cells + 2 * (bits - 1)
-        spread, cell = (
-            edge_spread(gray, found.corners_px, cells),
-            cell_width(found.corners_px, cells),
-        )
-        return replace(found, sigma_px=corner_sigma(spread, cell, cfg.noise.image_px))
+        sigma = measured_sigma(gray, found.corners_px, cells, cfg.noise.image_px)
+        return replace(found, sigma_px=sigma)
 
     def _tag_poses(
         self, obs: Observations, tags: TagBatch, area: Array, prior: PosePrior | None

@@ -8,6 +8,7 @@ import pytest
 from flights import CAMERA, CLEAN, edit_poses, events, feed, fly, replay, rms
 from numpy.testing import assert_allclose
 from oracles.suspect_study import flight
+from study_flights import PoseNoise
 
 from tagvo import geometry as geo
 from vio.config.filter import PriorConfig, VioConfig
@@ -19,7 +20,7 @@ from vio.filter.measurements import constraints, kinds, pose
 from vio.frames import level_frame
 from vio.localize.localizer import Localizer
 from vio.records import ImuSample
-from vio.sim.sensors.pose_noise import PoseNoise, wrong_rig
+from vio.sim.sensors.camera_stream import wrong_rig
 from vio.sim.sensors.simple_imu import PIXHAWK
 
 
