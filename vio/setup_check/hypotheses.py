@@ -29,6 +29,7 @@ _BIAS_RAD_S = 0.05  # prior of the gyro's bias
 _FREE_FALL = 1.0  # [m/s^2] a median force below it is no specific force
 _AXES_MORE = 1.5  # times the best chi-square that a change of axes may leave
 _HUBER = 2.0  # sigmas
+_REWEIGHTED = 6  # how often Huber's weights are taken anew
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +113,7 @@ def _fit(phi_C: Array, phi_I: Array, dt: Array, sigma: Array, det: float) -> _Fi
     bias = np.zeros((m, 3))
     Q = np.broadcast_to(np.eye(3), (m, 3, 3))
     left = phi_C - phi_I
-    for _ in range(6):
+    for _ in range(_REWEIGHTED):
         y = phi_C - dt[:, None] * bias[:, None]
         U, _, Vt = np.linalg.svd(np.einsum("mk,mki,mkj->mij", w, y, phi_I))
         flip = det * np.sign(np.linalg.det(U @ Vt))

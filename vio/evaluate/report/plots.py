@@ -81,7 +81,7 @@ def axis_figure(errors: Errors, name: str, part: int, t_zero_ns: int) -> Any:
     factor, unit = _UNITS[part]
     values = (errors.p_W, errors.rotation_I)[part] * factor
     fig = _rows(tuple(f"{axis} {unit}" for axis in (_XYZ, _RXYZ)[part]), height=460)
-    for k in range(3):
+    for k in range(values.shape[1]):
         first = {"showlegend": k == 0}
         t_s, y = thin(*in_time(errors.t_ns, values[:, k], t_zero_ns))
         line = {"color": color(name), "width": 1.5}
