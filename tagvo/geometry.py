@@ -51,6 +51,17 @@ def log(R: Array) -> Array:
     return log_quat(quat_from_matrix(R))
 
 
+def exp_quat(phi: Array) -> Array:
+    """Unit quaternion wxyz of a rotation vector [rad]; (..., 3) -> (..., 4)."""
+    half = 0.5 * np.linalg.norm(phi, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * phi], axis=-1)
+
+
+def conjugate_quat(q: Array) -> Array:
+    """The inverse of a unit quaternion wxyz; (..., 4)."""
+    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
 def log_quat(q: Array) -> Array:
     """Rotation vector [rad] of a unit quaternion wxyz, angle in [0, pi]; (..., 4) -> (..., 3)."""
     q = np.where(q[..., :1] < 0.0, -q, q)

@@ -80,6 +80,14 @@ def test_quaternion_products_are_rotation_products(a, b):
     assert_allclose(geo.matrix_from_quat(q), geo.exp(a) @ geo.exp(b), atol=1e-12)
 
 
+@given(rotvecs)
+def test_quaternion_exponential_is_that_of_the_matrix_and_the_conjugate_undoes_it(phi):
+    q = geo.exp_quat(phi)
+    assert_allclose(geo.matrix_from_quat(q), geo.exp(phi), atol=1e-12)
+    undone = geo.multiply_quat(geo.conjugate_quat(q), q)
+    assert_allclose(undone, [1.0, 0.0, 0.0, 0.0], atol=1e-12)
+
+
 @given(away_from_pi, points)
 def test_se3_is_the_matrix_exponential(phi, rho):
     twist = np.zeros((4, 4))

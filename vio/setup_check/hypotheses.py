@@ -80,17 +80,12 @@ def attitudes(t_s: Array, gyro: Array) -> Array:
     half = 0.25 * np.diff(t_s)[:, None] * (gyro[1:] + gyro[:-1])
     q = np.zeros((len(t_s), 4))
     q[0, 0] = 1.0
-    q[1:] = _quat(2.0 * half)
+    q[1:] = geo.exp_quat(2.0 * half)
     step = 1
     while step < len(q):  # every product of 2, then 4, 8, ... neighbours
         q[step:] = geo.multiply_quat(q[:-step], q[step:])
         step *= 2
     return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
-
-
-def _quat(phi: Array) -> Array:
-    angle = np.linalg.norm(phi, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * phi], axis=-1)
 
 
 def imu_turns(turns: Turns, offsets_s: Array) -> Array:
@@ -100,9 +95,9 @@ def imu_turns(turns: Turns, offsets_s: Array) -> Array:
     def at(t_s: Array) -> Array:
         row = np.clip(np.searchsorted(turns.t_s, t_s, side="right") - 1, 0, len(q) - 1)
         rest = np.clip(t_s - turns.t_s[row], 0.0, 0.05)
-        return geo.multiply_quat(q[row], _quat(rest[..., None] * turns.gyro[row]))
+        return geo.multiply_quat(q[row], geo.exp_quat(rest[..., None] * turns.gyro[row]))
 
-    first = at(turns.a_s + offsets_s[:, None]) * np.array([1.0, -1.0, -1.0, -1.0])
+    first = geo.conjugate_quat(at(turns.a_s + offsets_s[:, None]))
     return geo.log_quat(geo.multiply_quat(first, at(turns.b_s + offsets_s[:, None])))
 
 
