@@ -94,8 +94,8 @@ class JointConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
     )
 
 
-class FloorConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
-    """Standard deviations of what no fusion removes: the errors of the calibration."""
+class IntrinsicsErrorConfig(BaseModel, frozen=True, extra="forbid", allow_inf_nan=False):
+    """Standard deviations of focal length and principal point, common to all tags of a frame."""
 
     focal_rel: NonNegativeFloat = Field(
         default=0.001, description="standard deviation of the focal length, as a share of it"
@@ -229,8 +229,8 @@ class TagvoConfig(BaseModel, frozen=True, extra="forbid"):
     noise: NoiseConfig = Field(
         default=NoiseConfig(), description="standard deviations of the corners"
     )
-    floor: FloorConfig = Field(
-        default=FloorConfig(),
+    floor: IntrinsicsErrorConfig = Field(
+        default=IntrinsicsErrorConfig(),
         description="what no number of tags averages away: the camera's calibration",
     )
     detector: DetectorConfig = Field(default=DetectorConfig(), description="finds tags in images")

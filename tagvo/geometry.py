@@ -26,11 +26,6 @@ def hat(v: Array) -> Array:
     return out
 
 
-def vee(m: Array) -> Array:
-    """Vector of a skew matrix, the inverse of `hat`; (..., 3, 3) -> (..., 3)."""
-    return np.stack([m[..., 2, 1], m[..., 0, 2], m[..., 1, 0]], axis=-1)
-
-
 def _coefficients(theta: Array) -> tuple[Array, Array, Array]:
     """sin(t)/t, (1-cos t)/t^2 and (t - sin t)/t^3, by series near zero."""
     small = theta < _SMALL
@@ -56,6 +51,17 @@ def log(R: Array) -> Array:
     return log_quat(quat_from_matrix(R))
 
 
+def exp_quat(phi: Array) -> Array:
+    """Unit quaternion wxyz of a rotation vector [rad]; (..., 3) -> (..., 4)."""
+    half = 0.5 * np.linalg.norm(phi, axis=-1, keepdims=True)
+    return np.concatenate([np.cos(half), 0.5 * np.sinc(half / np.pi) * phi], axis=-1)
+
+
+def conjugate_quat(q: Array) -> Array:
+    """The inverse of a unit quaternion wxyz; (..., 4)."""
+    return np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
 def log_quat(q: Array) -> Array:
     """Rotation vector [rad] of a unit quaternion wxyz, angle in [0, pi]; (..., 4) -> (..., 3)."""
     q = np.where(q[..., :1] < 0.0, -q, q)
@@ -72,18 +78,6 @@ def right_jacobian(phi: Array) -> Array:
     _, b, c = _coefficients(theta)
     k = hat(phi)
     return np.eye(3) - b[..., None, None] * k + c[..., None, None] * (k @ k)
-
-
-def right_jacobian_inv(phi: Array) -> Array:
-    """Inverse of `right_jacobian`, for angles below 2 pi; (..., 3) -> (..., 3, 3)."""
-    theta = np.sqrt(np.einsum("...i,...i->...", phi, phi))
-    small = theta < _SMALL
-    t = np.where(small, 1.0, theta)
-    half = 0.5 * t
-    series = 1.0 / 12.0 + theta**2 / 720.0 * (1.0 + theta**2 / 42.0)
-    d: Array = np.where(small, series, (1.0 - half / np.tan(half)) / (t * t))
-    k = hat(phi)
-    return np.eye(3) + 0.5 * k + d[..., None, None] * (k @ k)
 
 
 def left_jacobian(phi: Array) -> Array:
@@ -175,21 +169,6 @@ def exp_se3(xi: Array) -> tuple[Array, Array]:
     """Pose (R, p) of a twist [rho (m), phi (rad)]; (..., 6) -> (..., 3, 3) and (..., 3)."""
     rho, phi = xi[..., :3], xi[..., 3:]
     return exp(phi), np.einsum("...ij,...j->...i", left_jacobian(phi), rho)
-
-
-def log_se3(R: Array, p: Array) -> Array:
-    """Twist [rho (m), phi (rad)] of a pose; (..., 3, 3) and (..., 3) -> (..., 6)."""
-    phi = log(R)
-    rho = np.einsum("...ij,...j->...i", right_jacobian_inv(-phi), p)
-    return np.concatenate([rho, phi], axis=-1)
-
-
-def adjoint(R: Array, p: Array) -> Array:
-    """Adjoint of a pose for twists [rho, phi]: T Exp(xi) = Exp(Ad xi) T; -> (..., 6, 6)."""
-    out = np.zeros((*R.shape[:-2], 6, 6))
-    out[..., :3, :3] = out[..., 3:, 3:] = R
-    out[..., :3, 3:] = hat(p) @ R
-    return out
 
 
 def matrix_from_rpy(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:

@@ -8,9 +8,8 @@ import numpy as np
 from tagvo.camera.model import Camera
 from tagvo.config import TagvoConfig
 from tagvo.detect import Detector, make_detector
-from tagvo.detect.apriltag import AprilTagDetector
-from tagvo.detect.blur import corner_sigma, edge_spread
-from tagvo.detect.edge_profile import Gray, cell_width
+from tagvo.detect.blur import measured_sigma
+from tagvo.detect.edge_profile import Gray
 from tagvo.detect.protocol import gray_image
 from tagvo.detect.rejection import filter_detections
 from tagvo.errors import TagvoError
@@ -22,20 +21,19 @@ from tagvo.pose.ippe import solve_tags
 from tagvo.pose.joint import JointPose
 from tagvo.pose.lone_tag import with_hidden_shift
 from tagvo.pose.measurement import Candidates, best_joint, measure_fused, measure_joint
-from tagvo.pose.observations import body_poses, observe, quad_area, tag_batch
+from tagvo.pose.observations import observe, quad_area, tag_batch, to_imu_poses
 from tagvo.pose.outliers import REJECT
 from tagvo.pose.selection import SELECT
 from tagvo.records import (
-    BodyPoses,
     Detections,
     Frame,
+    ImuPoses,
     Observations,
     PoseMeasurement,
     PosePrior,
     TagPoses,
 )
 from tagvo.tags.tag_map import TagMap
-from tagvo.track.policy import exact
 from tagvo.track.tracker import Tracker
 
 
@@ -60,7 +58,7 @@ class Trace:
     """Every intermediate of one frame, for reports and tests; None where a stage was not reached.
 
     counts: detections dropped, by cause, and how they were found (tracked_frames, search_CAUSE);
-    observations, tag_poses, candidates, bodies: of the n tags on the map; selected (n,) by THS;
+    observations, tag_poses, candidates, imu_poses: of the n tags on the map; selected (n,) by THS;
     kept (k,) rows of those left by OR; fused, joint: the two poses; pose: the output; reason: why
     there is none.
     """
@@ -71,7 +69,7 @@ class Trace:
     observations: Observations
     tag_poses: TagPoses | None = None
     candidates: Candidates | None = None
-    bodies: BodyPoses | None = None
+    imu_poses: ImuPoses | None = None
     selected: BoolArray | None = None
     kept: IntArray | None = None
     fused: FusedPose | None = None
@@ -130,24 +128,26 @@ class TagVO:
             found, self.tag_map, cfg.filters, self.camera.resolution
         )
         counts |= how
-        obs, counts["not_undistorted"] = observe(det, rows, self.camera, cfg.noise.corner_px)
+        obs, counts["not_undistorted"] = observe(
+            det, rows, self.camera, cfg.noise.corner_px, frame.camera
+        )
         if not len(obs):
             reason = "no_tags" if not len(found) else "no_usable_tags"
             return Trace(frame.t_ns, found, counts, obs, reason=reason)
         tags, area = tag_batch(obs, self.tag_map, self.camera, cfg.floor), quad_area(obs.corners_px)
         tag_poses, candidates = self._tag_poses(obs, tags, area, prior)
-        bodies = body_poses(obs, *candidates.taken(), area, self.tag_map, self.camera)
+        imu_poses = to_imu_poses(obs, *candidates.taken(), area, self.tag_map, self.camera)
         lap("tagpose")
-        selected = SELECT[cfg.select](bodies)
-        inside, flags = REJECT[cfg.outliers](bodies.p_WI[selected], cfg.iqr)
+        selected = SELECT[cfg.select](imu_poses)
+        inside, flags = REJECT[cfg.outliers](imu_poses.p_WI[selected], cfg.iqr)
         kept = np.flatnonzero(selected)[inside]
         lap("select")
-        fused, mean_flags = self._fuse(bodies, kept, tags)
+        fused, mean_flags = self._fuse(imu_poses, kept, tags)
         lap("fuse")
         joint, pose, reason = None, None, "inconsistent"
         if fused.cov is not None:
             pose = measure_fused(
-                frame.t_ns, (fused.R_WC, fused.p_WC), fused.cov, obs.tag_id, kept, candidates,
+                frame.t_ns, (fused.R_WC, fused.p_WC), fused.cov, obs, kept, candidates,
                 {*flags, *mean_flags},
             )  # fmt: skip
         else:
@@ -155,7 +155,7 @@ class TagVO:
             joint, pose = self._joint(frame.t_ns, fused, candidates, obs, tags, area, prior)
             lap("joint")
         return Trace(
-            frame.t_ns, found, counts, obs, tag_poses, candidates, bodies, selected, kept, fused,
+            frame.t_ns, found, counts, obs, tag_poses, candidates, imu_poses, selected, kept, fused,
             joint, pose, None if pose else reason,
         )  # fmt: skip
 
@@ -205,22 +205,14 @@ class TagVO:
                 d.library, family, border_bits=bits, decimate=d.decimate,
                 max_hamming=d.max_hamming, threads=d.threads,
             )  # fmt: skip
-        if isinstance(self._detector, AprilTagDetector) and cfg.track.adaptive:
-            found = self._detector.detect(gray, decimate)
-            if cfg.detector.decimate is None:
-                found = found[exact(found.corners_px, decimate)]
-        else:
-            found = self._detector.detect(gray)
+        found = self._detector.detect(gray, decimate if cfg.track.adaptive else None)
         if not len(found):
             return found
         if not cfg.noise.blur:
             return replace(found, sigma_px=np.full((len(found), 4), cfg.noise.image_px))
         cells = family.border_cells + 2 * (bits - 1)
-        spread, cell = (
-            edge_spread(gray, found.corners_px, cells),
-            cell_width(found.corners_px, cells),
-        )
-        return replace(found, sigma_px=corner_sigma(spread, cell, cfg.noise.image_px))
+        sigma = measured_sigma(gray, found.corners_px, cells, cfg.noise.image_px)
+        return replace(found, sigma_px=sigma)
 
     def _tag_poses(
         self, obs: Observations, tags: TagBatch, area: Array, prior: PosePrior | None
@@ -234,12 +226,12 @@ class TagVO:
         return poses, Candidates(R_WC, p_WC, depth, gap, branch)
 
     def _fuse(
-        self, bodies: BodyPoses, kept: IntArray, tags: TagBatch
+        self, imu_poses: ImuPoses, kept: IntArray, tags: TagBatch
     ) -> tuple[FusedPose, tuple[str, ...]]:
         """MEF of the kept tags, back at the camera, with its covariance; and flags."""
         cfg, camera = self.config, self.camera
-        weights = WEIGHT[cfg.weights](bodies.level[kept])
-        p_WI, R_WI, flags = fuse(bodies.p_WI[kept], bodies.R_WI[kept], weights, cfg.mean)
+        weights = WEIGHT[cfg.weights](imu_poses.level[kept])
+        p_WI, R_WI, flags = fuse(imu_poses.p_WI[kept], imu_poses.R_WI[kept], weights, cfg.mean)
         R_WC = R_WI @ camera.R_CI.T
         p_WC = p_WI - R_WC @ camera.p_CI
         cov = None  # of no use to the joint pose, which starts here
@@ -267,4 +259,4 @@ class TagVO:
             joint, misfit = with_hidden_shift(joint, tags)
             gap /= misfit
         reject = cfg.joint.reject_weight
-        return joint, measure_joint(t_ns, joint, rival, gap, obs.tag_id, reject)
+        return joint, measure_joint(t_ns, joint, rival, gap, obs, reject)

@@ -64,7 +64,7 @@ class Frame:
     t_ns: middle of the exposure in the camera's clock, uncorrected; image (h, w) or (h, w, 3)
     uint8, or None; detections: used in place of the image where given; arrival_ns: when the frame
     was known, in the clock of the consumer; None: at its stamp; received_ns: when its image came
-    from the camera, before its tags were known; None: at arrival_ns.
+    from the camera, before its tags were known; None: at arrival_ns; camera: index of the camera.
     """
 
     t_ns: int
@@ -72,6 +72,7 @@ class Frame:
     detections: Detections | None = None
     arrival_ns: int | None = None
     received_ns: int | None = None
+    camera: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +80,8 @@ class Observations:
     """Detections of tags on the map, ready for geometry.
 
     row (n,) index of each tag in the map; corners_px (n, 4, 2); corners_n (n, 4, 2) normalised
-    image coordinates x/z, y/z; J_px_n (n, 4, 2, 2) d pixel / d normalised; sigma_px (n, 4).
+    image coordinates x/z, y/z; J_px_n (n, 4, 2, 2) d pixel / d normalised; sigma_px (n, 4);
+    camera: index of the camera.
     """
 
     row: IntArray
@@ -88,6 +90,7 @@ class Observations:
     corners_n: Array
     J_px_n: Array
     sigma_px: Array
+    camera: int = 0
 
     def __len__(self) -> int:
         return len(self.tag_id)
@@ -100,6 +103,7 @@ class Observations:
             self.corners_n[rows],
             self.J_px_n[rows],
             self.sigma_px[rows],
+            self.camera,
         )
 
 
@@ -128,8 +132,8 @@ class TagPoses:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BodyPoses:
-    """One pose of the body in the map from each tag; the paper's T_WB_i (B is the IMU, I).
+class ImuPoses:
+    """One pose of the IMU in the map from each tag; the paper's T_WB_i, where I is called B.
 
     tag_id (n,); size (n,) border side [m]; level (n,) h = log2(size / smallest in the map);
     area_px (n,) image area [px^2]; p_WI (n, 3) [m]; R_WI (n, 3, 3).
@@ -145,8 +149,8 @@ class BodyPoses:
     def __len__(self) -> int:
         return len(self.tag_id)
 
-    def __getitem__(self, rows: BoolArray | IntArray) -> "BodyPoses":
-        return BodyPoses(
+    def __getitem__(self, rows: BoolArray | IntArray) -> "ImuPoses":
+        return ImuPoses(
             self.tag_id[rows],
             self.size[rows],
             self.level[rows],
@@ -172,7 +176,7 @@ class PoseMeasurement:
 
     t_ns: exposure midpoint, camera clock, uncorrected; p_WC (3,) [m]; R_WC (3, 3); cov (6, 6) of
     [p in W, right rotation in C], honest for this one frame [m^2, rad^2]; tag_ids used;
-    flags: degraded, or_skipped, ambiguous, ... (sorted).
+    flags: degraded, or_skipped, ambiguous, ... (sorted); camera: index of the camera.
     """
 
     t_ns: int
@@ -181,3 +185,4 @@ class PoseMeasurement:
     cov: Array
     tag_ids: tuple[int, ...]
     flags: tuple[str, ...] = ()
+    camera: int = 0

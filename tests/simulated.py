@@ -10,7 +10,7 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera, project
-from tagvo.config import FloorConfig
+from tagvo.config import IntrinsicsErrorConfig
 from tagvo.records import Detections, Frame
 from tagvo.render.view import displaced
 from tagvo.tags.tag_map import TagMap, load_map, map_from_dict, tag_corners
@@ -62,7 +62,7 @@ def corners_seen(tag_map, camera, R_WC, p_WC, margin_px=0.0):
     return np.flatnonzero(inside.all(axis=1) & above), pixels
 
 
-def wrong_camera(camera, floor: FloorConfig, rng) -> Camera:
+def wrong_camera(camera, floor: IntrinsicsErrorConfig, rng) -> Camera:
     """The camera as it might really be: focal length and principal point drawn from the floor."""
     shift = rng.standard_normal(3) * [floor.focal_rel, floor.principal_px, floor.principal_px]
     f, c = camera.intrinsics[:2] * (1.0 + shift[0]), camera.intrinsics[2:] + shift[1:]

@@ -28,6 +28,7 @@ sys.path[:0] = [
 ]
 from flights import CAMERA
 from simulated import arena, corners_seen
+from study_flights import FLIGHTS
 
 from tagvo import geometry as geo
 from tagvo.config import TagvoConfig
@@ -37,7 +38,6 @@ from tagvo.render.view import Look, displaced, render_view
 from vio.config import Config
 from vio.localize.localizer import Localizer
 from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
-from vio.sim.world.trajectory import FLIGHTS
 
 CAM = replace(CAMERA, model="radtan", coeffs=np.array([-0.18, 0.05, 0.001, -0.0005]))
 SETTINGS = {

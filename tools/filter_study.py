@@ -17,6 +17,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import numpy as np
+from study_flights import FLIGHTS, PoseNoise, PoseStream, circle, hover, simulate_poses, t1
 
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera
@@ -26,9 +27,8 @@ from tagvo.records import PoseMeasurement
 from vio.config.filter import PriorConfig, VioConfig
 from vio.filter.eskf import ErrorStateFilter
 from vio.records import ImuSample
-from vio.sim.sensors.pose_noise import PoseNoise, PoseStream, simulate_poses, wrong_rig
+from vio.sim.sensors.camera_stream import wrong_rig
 from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
-from vio.sim.world.trajectory import FLIGHTS, circle, hover, t1
 from vio.sources.flight_log.files import read_imu, read_imu_noise, read_phases, read_truth
 from vio.sources.flight_log.log import FlightLog
 from vio.sources.flight_log.tally import Tally

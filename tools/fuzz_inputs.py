@@ -35,7 +35,7 @@ from vio.sources.flight_log.files import (
     read_phases,
     read_truth,
 )
-from vio.sources.flight_log.frames import read_image
+from vio.sources.flight_log.log_frames import read_image
 from vio.sources.flight_log.tally import Tally
 
 T0 = 1_700_000_000_000_000_000

@@ -178,17 +178,6 @@ def project(camera: Camera, p_C: Array) -> tuple[Array, BoolArray]:
     return pixels, valid
 
 
-def projection_jacobian(camera: Camera, p_C: Array) -> Array:
-    """d pixel / d p_C [px/m] for points in front of the camera; (..., 3) -> (..., 2, 3)."""
-    z = p_C[..., 2:]
-    x_n = p_C[..., :2] / z
-    _, J = distort(camera, x_n)
-    d = np.zeros((*p_C.shape[:-1], 2, 3))
-    d[..., 0, 0] = d[..., 1, 1] = 1.0 / z[..., 0]
-    d[..., :, 2] = -x_n / z
-    return np.asarray(J @ d)
-
-
 def unproject(camera: Camera, pixels: Array) -> tuple[Array, Array, BoolArray]:
     """Normalised coordinates of pixels, by Newton's method on the analytic Jacobian.
 

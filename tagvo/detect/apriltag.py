@@ -7,13 +7,15 @@ import numpy as np
 from tagvo.detect.edge_profile import Gray
 from tagvo.detect.protocol import gray_image, no_detections
 from tagvo.errors import DetectorError
-from tagvo.geometry import Array
+from tagvo.geometry import Array, BoolArray, shortest_sides
 from tagvo.records import Detections
 from tagvo.tags.families import FAMILIES, Family
 
 _UPRIGHT = [3, 2, 1, 0]  # the library's order is BL, BR, TR, TL
 _PIXEL_CENTRE = 0.5  # where the library puts the centre of the first pixel
 _WIDE = 1280  # [px] from here decimate 2 loses no tag worth having; below, 1.5 pays
+_FINE = 1.5  # up to this decimation every tag found has exact corners
+_EXACT_PX = 10.0  # of a side after decimation; below, corners are worse, at 3 and 4 by times
 _DECIMATES = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0)  # at 1.75 the library finds nothing
 
 
@@ -65,22 +67,32 @@ class AprilTagDetector:
     def detect(self, image: Gray, decimate: float | None = None) -> Detections:
         """Tags in a grey (h, w) or BGR (h, w, 3) image, in the order the library gives them.
 
-        decimate: for this image, where the detector was made with none.
+        decimate: for this image, where the detector was made with none; then small tags are
+        dropped (`_exact`).
         """
         gray = gray_image(image)
-        decimate = self._decimate or decimate or decimate_for(gray.shape[1])
-        if min(gray.shape) < 4 * decimate + 4:  # below about 3 decimated pixels the library crashes
+        asked = None if self._decimate else decimate
+        taken = self._decimate or decimate or decimate_for(gray.shape[1])
+        if min(gray.shape) < 4 * taken + 4:  # below about 3 decimated pixels the library crashes
             return no_detections()
-        found = self._at(decimate).detect(gray)
+        found = self._at(taken).detect(gray)
         if not found:
             return no_detections()
         corners = np.array([tag["lb-rb-rt-lt"] for tag in found], dtype=float)
-        return Detections.of(
+        tags = Detections.of(
             np.array([tag["id"] for tag in found]),
             upright(corners),
             np.array([tag["hamming"] for tag in found]),
             np.array([tag["margin"] for tag in found]),
         )
+        return tags if asked is None else tags[_exact(tags.corners_px, asked)]
+
+
+def _exact(corners_px: Array, decimate: float) -> BoolArray:
+    """Which quads (n, 4, 2) of a search are large enough to have exact corners."""
+    if decimate <= _FINE:
+        return np.ones(len(corners_px), dtype=bool)
+    return np.asarray(shortest_sides(corners_px) >= _EXACT_PX * decimate)
 
 
 def upright(corners_px: Array) -> Array:

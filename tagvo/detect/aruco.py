@@ -54,8 +54,8 @@ class ArucoDetector:
         self._max_errors = self._codes.max_errors(max_hamming)
         self._second_chance = self._codes.by_chance < 1e-3
 
-    def detect(self, image: Gray) -> Detections:
-        """Tags in a grey (h, w) or BGR (h, w, 3) image, by id."""
+    def detect(self, image: Gray, decimate: float | None = None) -> Detections:
+        """Tags in a grey (h, w) or BGR (h, w, 3) image, by id; always at full resolution."""
         gray = gray_image(image)
         if min(gray.shape) < _MIN_IMAGE_PX:
             return no_detections()

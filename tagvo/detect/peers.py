@@ -27,8 +27,8 @@ class PyAprilTags:
             families=family.name, nthreads=1, quad_decimate=decimate
         )
 
-    def detect(self, image: Gray) -> Detections:
-        """Tags in a grey or BGR image."""
+    def detect(self, image: Gray, decimate: float | None = None) -> Detections:
+        """Tags in a grey or BGR image; decimate is not heeded."""
         found = self._detector.detect(gray_image(image))
         if not found:
             return no_detections()
@@ -51,8 +51,8 @@ class PlainAruco:
         self._detector = aruco.ArucoDetector(dictionary, parameters)
         self._roll = 2 if "APRILTAG" in family.aruco else 0
 
-    def detect(self, image: Gray) -> Detections:
-        """Tags in a grey or BGR image."""
+    def detect(self, image: Gray, decimate: float | None = None) -> Detections:
+        """Tags in a grey or BGR image; decimate is not heeded."""
         corners, ids, _ = self._detector.detectMarkers(gray_image(image))
         if ids is None or not len(ids):
             return no_detections()

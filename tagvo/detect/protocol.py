@@ -12,8 +12,12 @@ from tagvo.records import Detections
 class Detector(Protocol):
     """Finds tags: image (h, w) uint8 -> corners TL, TR, BR, BL, pixel centres at integers."""
 
-    def detect(self, image: Gray) -> Detections:
-        """Tags in a grey (h, w) or BGR (h, w, 3) image; none in an image too small for one."""
+    def detect(self, image: Gray, decimate: float | None = None) -> Detections:
+        """Tags in a grey (h, w) or BGR (h, w, 3) image; none in an image too small for one.
+
+        decimate: the tags that are needed stand an image so many times as coarse; a detector may
+        search that, and then drops those too small for exact corners, or take no notice.
+        """
 
 
 def gray_image(image: np.ndarray[Any, Any]) -> Gray:

@@ -81,14 +81,6 @@ def _first_causes(
     return cause
 
 
-def away_from_edge(corners_px: Array, resolution: Resolution, edge_px: float) -> BoolArray:
-    """True where every corner lies at least edge_px inside the image's rim; (n, 4, 2) -> (n,).
-
-    The rim runs half a pixel outside the centres of the outermost pixels.
-    """
-    return np.array([_within(quad, *resolution, edge_px) for quad in corners_px], dtype=bool)
-
-
 def unambiguous(det: Detections, duplicate_px: float) -> BoolArray:
     """True for the one find to keep of each id; none where finds of one id disagree; (n,).
 

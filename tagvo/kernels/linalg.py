@@ -4,6 +4,8 @@ By loops: BLAS costs a start 0.3 s, and products of six rows more than they do. 
 Van Loan, Matrix Computations, chapter 4.
 """
 
+import math
+
 import numpy as np
 
 from tagvo.geometry import Array
@@ -65,9 +67,7 @@ def inverse_spd(A: Array, out: Array) -> bool:
     L = A.copy()
     if not cholesky(L):
         return False
-    for i in range(n):
-        for j in range(n):
-            out[i, j] = 1.0 if i == j else 0.0
+    identity(out)
     forward(L, out)
     backward(L, out)
     for i in range(n):
@@ -184,11 +184,42 @@ def add_times(A: Array, v: Array, out: Array) -> None:
 
 
 @bare
+def subtract_times(A: Array, v: Array, out: Array) -> None:
+    """out (n,) -= A v; A (n, m), v (m,)."""
+    for i in range(A.shape[0]):
+        for k in range(A.shape[1]):
+            out[i] -= A[i, k] * v[k]
+
+
+@bare
 def add_t_times(A: Array, v: Array, out: Array) -> None:
     """out (m,) += A^T v; A (n, m), v (n,)."""
     for i in range(A.shape[1]):
         for k in range(A.shape[0]):
             out[i] += A[k, i] * v[k]
+
+
+@bare
+def add_scaled(v: Array, s: float, out: Array) -> None:
+    """out (n,) += s v."""
+    for i in range(len(out)):
+        out[i] += s * v[i]
+
+
+@bare
+def scale(v: Array, s: float) -> None:
+    """v (n,) *= s."""
+    for i in range(len(v)):
+        v[i] *= s
+
+
+@bare
+def dot(v: Array, w: Array) -> float:
+    """v^T w; (n,)."""
+    s = 0.0
+    for i in range(len(v)):
+        s += v[i] * w[i]
+    return s
 
 
 @bare
@@ -217,3 +248,43 @@ def add_product_t(A: Array, B: Array, out: Array) -> None:
         for j in range(B.shape[0]):
             for k in range(A.shape[1]):
                 out[i, j] += A[i, k] * B[j, k]
+
+
+@bare
+def symmetrize(A: Array) -> None:
+    """A (n, n) := the mean of A and A^T."""
+    for i in range(A.shape[0]):
+        for j in range(i):
+            A[i, j] = A[j, i] = 0.5 * (A[i, j] + A[j, i])
+
+
+@bare
+def is_finite(A: Array) -> bool:
+    """Whether every element of A (n, m) is a finite number."""
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            if not math.isfinite(A[i, j]):
+                return False
+    return True
+
+
+@bare
+def determinant(A: Array) -> float:
+    """Of A (3, 3)."""
+    a = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
+    b = A[1, 0] * A[2, 2] - A[1, 2] * A[2, 0]
+    c = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
+    return float(A[0, 0] * a - A[0, 1] * b + A[0, 2] * c)
+
+
+@bare
+def largest_eigenvalue(A: Array) -> float:
+    """Of a symmetric A (3, 3), by the cosine of a third of an angle."""
+    mean = (A[0, 0] + A[1, 1] + A[2, 2]) / 3.0
+    a, b, c = A[0, 0] - mean, A[1, 1] - mean, A[2, 2] - mean
+    d, e, f = A[0, 1], A[0, 2], A[1, 2]
+    spread = math.sqrt((a * a + b * b + c * c + 2.0 * (d * d + e * e + f * f)) / 6.0)
+    if spread <= 0.0:
+        return float(mean)
+    half = 0.5 * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / spread**3
+    return float(mean + 2.0 * spread * math.cos(math.acos(min(max(half, -1.0), 1.0)) / 3.0))

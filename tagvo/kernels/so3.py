@@ -116,3 +116,36 @@ def quaternion(R: Array, q: Array) -> None:
     norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     for i in range(4):
         q[i] /= norm
+
+
+@bare
+def not_orthonormal(R: Array, E: Array) -> float:
+    """R^T R - I into E (3, 3); -> its largest element, by size."""
+    worst = 0.0
+    for i in range(3):
+        for k in range(3):
+            E[i, k] = R[0, i] * R[0, k] + R[1, i] * R[1, k] + R[2, i] * R[2, k]
+            E[i, k] -= 1.0 if i == k else 0.0
+            worst = max(worst, abs(E[i, k]))
+    return worst
+
+
+@bare
+def orthonormalize(R: Array, E: Array) -> None:
+    """R (3, 3) := R (1 - E / 2), E = R^T R - I: nearer to a rotation, the error squared."""
+    for i in range(3):
+        x, y, z = R[i, 0], R[i, 1], R[i, 2]
+        for k in range(3):
+            R[i, k] -= 0.5 * (x * E[0, k] + y * E[1, k] + z * E[2, k])
+
+
+@bare
+def pose_distance2(R_a: Array, p_a: Array, R_b: Array, p_b: Array, depth: float) -> float:
+    """Squared disagreement of two poses: chord of the rotation [rad] and shift / depth."""
+    trace, shift = 0.0, 0.0
+    for i in range(3):
+        d = p_a[i] - p_b[i]
+        shift += d * d
+        for j in range(3):
+            trace += R_a[i, j] * R_b[i, j]
+    return max(3.0 - trace, 0.0) + shift / (depth * depth)

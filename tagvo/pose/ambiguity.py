@@ -10,7 +10,9 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array, IntArray
-from tagvo.kernels.jit import bare, njit
+from tagvo.kernels.jit import njit
+from tagvo.kernels.linalg import assign, multiply, subtract_times
+from tagvo.kernels.so3 import pose_distance2
 from tagvo.records import PosePrior
 
 _SPREAD = np.radians(4.0)  # disagreement at which a tag's vote has half its weight [rad]
@@ -31,29 +33,10 @@ def camera_candidates(
     for i in range(n):
         for s in range(2):
             depth[i, s] = p_CT[i, s, 2]
-            for a in range(3):
-                p[i, s, a] = p_WT[i, a]
-                for b in range(3):
-                    v = 0.0
-                    for k in range(3):
-                        v += R_WT[i, a, k] * R_CT[i, s, b, k]
-                    R[i, s, a, b] = v
-            for a in range(3):
-                for b in range(3):
-                    p[i, s, a] -= R[i, s, a, b] * p_CT[i, s, b]
+            multiply(R_WT[i], R_CT[i, s].T, R[i, s])
+            assign(p_WT[i], p[i, s])
+            subtract_times(R[i, s], p_CT[i, s], p[i, s])
     return R, p, depth
-
-
-@bare
-def _distance2(R_a: Array, p_a: Array, R_b: Array, p_b: Array, depth: float) -> float:
-    """Squared disagreement of two camera poses: chord of the rotation [rad] and shift / depth."""
-    trace, shift = 0.0, 0.0
-    for i in range(3):
-        d = p_a[i] - p_b[i]
-        shift += d * d
-        for j in range(3):
-            trace += R_a[i, j] * R_b[i, j]
-    return max(3.0 - trace, 0.0) + shift / (depth * depth)
 
 
 @njit
@@ -75,7 +58,7 @@ def _vote(R: Array, p: Array, depth: Array, gap: Array, area_px: Array) -> IntAr
                 d = max(depth[t, s], 1e-3)
                 support = 0.0
                 for k in range(2):
-                    d2 = _distance2(R[t, s], p[t, s], R[u, k], p[u, k], d)
+                    d2 = pose_distance2(R[t, s], p[t, s], R[u, k], p[u, k], d)
                     support = max(support, likelihood[u, k] / (1.0 + d2 * scale))
                 score += weight[u] * support
             if score > best:
@@ -85,7 +68,7 @@ def _vote(R: Array, p: Array, depth: Array, gap: Array, area_px: Array) -> IntAr
     for u in range(n):
         most = -1.0
         for k in range(2):
-            d2 = _distance2(R[best_t, best_s], p[best_t, best_s], R[u, k], p[u, k], d)
+            d2 = pose_distance2(R[best_t, best_s], p[best_t, best_s], R[u, k], p[u, k], d)
             vote = likelihood[u, k] / (1.0 + d2 * scale)
             if vote > most:
                 most, branch[u] = vote, k

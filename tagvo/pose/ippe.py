@@ -10,50 +10,52 @@ import numpy as np
 
 from tagvo.geometry import Array
 from tagvo.kernels import projection
+from tagvo.kernels.gauss_newton import add_row, clear, damped_step, mirror
 from tagvo.kernels.jit import bare, njit
-from tagvo.kernels.linalg import assign, backward, cholesky, copy, forward
+from tagvo.kernels.linalg import add_times, assign, copy, multiply, scale, square
+from tagvo.kernels.projection import unit_square
 from tagvo.kernels.so3 import rotated
 from tagvo.records import Observations, TagPoses
 
 _DAMPING = 1e-6  # a trace of Levenberg damping: a tag seen edge-on must not blow up
+_RIDGE = 1e-9  # [1/m^2, 1/rad^2] for a diagonal that is zero
 _MAX_TURN = 0.5  # rad
 
 
+class _Pose(NamedTuple):
+    """A pose R (3, 3), p (3,) of a tag with its normal equations H (6, 6), g (6,)."""
+
+    R: Array
+    p: Array
+    H: Array
+    g: Array
+
+
 class _Work(NamedTuple):
-    """Scratch of one tag: r (8,), A (8, 3), J (8, 6), x_C (4, 3); of a step: two gradients (6,),
-    the step b (6, 1), the new pose R (3, 3), p (3,), its information H and a factor L (6, 6)."""
+    """Scratch of one tag: r (8,), A (8, 3), J (8, 6), x_C (4, 3); of a step: L (6, 6), b (6, 1) of
+    `damped_step`, and where it leads."""
 
     r: Array
     A: Array
     J: Array
     x_C: Array
-    g: Array
-    g_new: Array
-    b: Array
-    R_new: Array
-    p_new: Array
-    H_new: Array
     L: Array
+    b: Array
+    new: _Pose
 
 
 @bare
-def homography_at_centre(corners_n: Array, size: float, x: Array, J: Array) -> None:
+def homography_at_centre(corners_n: Array, size: float, x: Array, J: Array, H: Array) -> None:
     """Image x (2,) of a tag's centre and J (2, 2) = d image / d tag plane there [1/m].
 
-    corners_n (4, 2) TL, TR, BR, BL; the unit square has TL at (0, 0), BR at (1, 1) (Heckbert).
+    corners_n (4, 2) TL, TR, BR, BL; H (3, 3): scratch.
     """
-    p0, p1, p2, p3 = corners_n[0], corners_n[1], corners_n[2], corners_n[3]
-    d1x, d1y, d2x, d2y = p1[0] - p2[0], p1[1] - p2[1], p3[0] - p2[0], p3[1] - p2[1]
-    sx, sy = p0[0] - p1[0] + p2[0] - p3[0], p0[1] - p1[1] + p2[1] - p3[1]
-    det = d1x * d2y - d2x * d1y
-    if abs(det) < 1e-18:
-        det = 1e-18
-    g, h = (sx * d2y - d2x * sy) / det, (d1x * sy - sx * d1y) / det
+    unit_square(corners_n, H)
+    g, h = H[2, 0], H[2, 1]
     w = 1.0 + 0.5 * (g + h)
     for i in range(2):
-        a = p1[i] - p0[i] + g * p1[i]
-        b = p3[i] - p0[i] + h * p3[i]
-        x[i] = (p0[i] + 0.5 * (a + b)) / w
+        a, b = H[i, 0], H[i, 1]
+        x[i] = (H[i, 2] + 0.5 * (a + b)) / w
         J[i, 0] = (a - x[i] * g) / (w * size)
         J[i, 1] = -(b - x[i] * h) / (w * size)  # T's y points up, the unit square's down
 
@@ -96,11 +98,7 @@ def ippe_rotations(x: Array, J: Array, R_CT: Array, small: Array) -> None:
         local[0, 2] = local[1, 0] * local[2, 1] - local[2, 0] * local[1, 1]
         local[1, 2] = local[2, 0] * local[0, 1] - local[0, 0] * local[2, 1]
         local[2, 2] = local[0, 0] * local[1, 1] - local[1, 0] * local[0, 1]
-        for i in range(3):
-            for j in range(3):
-                R_CT[s, i, j] = (
-                    Rv[i, 0] * local[0, j] + Rv[i, 1] * local[1, j] + Rv[i, 2] * local[2, j]
-                )
+        multiply(Rv, local, R_CT[s])
 
 
 @bare
@@ -131,86 +129,65 @@ class _Corners(NamedTuple):
 
 
 @bare
-def _normal_equations(
-    R: Array, p: Array, seen: _Corners, H: Array, g: Array, work: _Work
-) -> tuple[float, float]:
-    """Information H (6, 6), gradient g (6,); returns whitened cost and sum of squares [px^2].
+def _normal_equations(tag: _Pose, seen: _Corners, work: _Work) -> tuple[float, float]:
+    """Writes H and g at a tag's pose; returns whitened cost and sum of squares [px^2].
 
     The costs are infinite where a corner is not in front of the camera.
     """
     r, J = work.r, work.J
     X, x_n, J_px_n, w = seen
-    front = projection.residual(R, p, X, x_n, J_px_n, r, work.A, work.x_C)
-    projection.tag_jacobian(work.A, R, X, J)
-    cost, square = 0.0, 0.0
-    for i in range(6):
-        g[i] = 0.0
-        for j in range(i + 1):
-            H[i, j] = 0.0
+    front = projection.residual(tag.R, tag.p, X, x_n, J_px_n, r, work.A, work.x_C)
+    projection.tag_jacobian(work.A, tag.R, X, J)
+    cost, total = 0.0, 0.0
+    clear(tag.H, tag.g)
     for row in range(8):
         ww = w[row // 2] * w[row // 2]
-        square += r[row] * r[row]
+        total += r[row] * r[row]
         cost += ww * r[row] * r[row]
-        for i in range(6):
-            a = ww * J[row, i]
-            g[i] += a * r[row]
-            for j in range(i + 1):
-                H[i, j] += a * J[row, j]
-    for i in range(6):
-        for j in range(i):
-            H[j, i] = H[i, j]
+        add_row(J[row], r[row], ww, tag.H, tag.g)
+    mirror(tag.H)
     if front:
-        return cost, square
+        return cost, total
     return np.inf, np.inf
 
 
 @bare
-def _step(R: Array, p: Array, H: Array, work: _Work) -> bool:
-    """Damped Gauss-Newton step of a pose and its H and work.g into work.R_new, work.p_new."""
-    L, b = work.L, work.b
-    for i in range(6):
-        for j in range(i + 1):
-            L[i, j] = H[i, j]
-        L[i, i] = H[i, i] * (1.0 + _DAMPING) + 1e-9
-        b[i, 0] = work.g[i]
-    if not cholesky(L):
+def _step(tag: _Pose, work: _Work) -> bool:
+    """Damped Gauss-Newton step of a pose into work.new."""
+    b, new = work.b[:, 0], work.new
+    if not damped_step(tag.H, tag.g, _DAMPING, _RIDGE, work.L, work.b):
         return False
-    forward(L, b)
-    backward(L, b)
-    turn = np.sqrt(b[3, 0] ** 2 + b[4, 0] ** 2 + b[5, 0] ** 2)
-    scale = min(1.0, _MAX_TURN / max(turn, 1e-12))  # far outside the quadratic region
-    for i in range(6):
-        b[i, 0] *= scale
-    rotated(R, b[3:, 0], work.R_new)
-    for i in range(3):
-        work.p_new[i] = p[i] + R[i, 0] * b[0, 0] + R[i, 1] * b[1, 0] + R[i, 2] * b[2, 0]
+    turn = np.sqrt(square(b[3:]))
+    scale(b, min(1.0, _MAX_TURN / max(turn, 1e-12)))  # far outside the quadratic region
+    rotated(tag.R, b[3:], new.R)
+    assign(tag.p, new.p)
+    add_times(tag.R, b[:3], new.p)
     return True
 
 
 @bare
-def _refine(R: Array, p: Array, seen: _Corners, steps: int, H: Array, work: _Work) -> float:
-    """Gauss-Newton steps on R, p in place while they lower the cost; H (6, 6) at the end.
+def _refine(tag: _Pose, seen: _Corners, steps: int, work: _Work) -> float:
+    """Gauss-Newton steps on a pose in place while they lower the cost; its H at the end.
 
     Returns the sum of squared residuals [px^2].
     """
-    cost, square = _normal_equations(R, p, seen, H, work.g, work)
+    cost, total = _normal_equations(tag, seen, work)
+    new = work.new
     for _ in range(steps):
-        if not _step(R, p, H, work):
+        if not _step(tag, work):
             break
-        cost_new, square_new = _normal_equations(
-            work.R_new, work.p_new, seen, work.H_new, work.g_new, work
-        )
+        cost_new, total_new = _normal_equations(new, seen, work)
         if not cost_new < cost:
             break
-        copy(work.R_new, R)
-        assign(work.p_new, p)
-        copy(work.H_new, H)
-        assign(work.g_new, work.g)
-        square, settled = square_new, cost - cost_new < 1e-6 * cost
+        copy(new.R, tag.R)
+        assign(new.p, tag.p)
+        copy(new.H, tag.H)
+        assign(new.g, tag.g)
+        total, settled = total_new, cost - cost_new < 1e-6 * cost
         cost = cost_new
         if settled:
             break
-    return square
+    return total
 
 
 @njit
@@ -220,26 +197,27 @@ def _solve_all(
     n = len(size)
     p, R = np.empty((n, 2, 3)), np.empty((n, 2, 3, 3))
     rms, information = np.empty((n, 2)), np.empty((n, 2, 6, 6))
-    centre, J, H = np.empty(2), np.empty((2, 2)), np.empty((2, 6, 6))
+    centre, J, H, g = np.empty(2), np.empty((2, 2)), np.empty((2, 6, 6)), np.empty(6)
+    new = _Pose(np.empty((3, 3)), np.empty(3), np.empty((6, 6)), np.empty(6))
     work = _Work(
-        np.empty(8), np.empty((8, 3)), np.empty((8, 6)), np.empty((4, 3)), np.empty(6), np.empty(6),
-        np.empty((6, 1)), np.empty((3, 3)), np.empty(3), np.empty((6, 6)), np.empty((6, 6)),
+        np.empty(8), np.empty((8, 3)), np.empty((8, 6)), np.empty((4, 3)), np.empty((6, 6)),
+        np.empty((6, 1)), new,
     )  # fmt: skip
-    R_s, p_s, w, square = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(4), np.empty(2)
-    small = np.empty((8, 3))
+    R_s, p_s, w, total = np.empty((2, 3, 3)), np.empty((2, 3)), np.empty(4), np.empty(2)
+    small, tilt = np.empty((8, 3)), np.empty((3, 3))
     for i in range(n):
-        homography_at_centre(x_n[i], size[i], centre, J)
+        homography_at_centre(x_n[i], size[i], centre, J, tilt)
         ippe_rotations(centre, J, R_s, small)
         for c in range(4):
             w[c] = 1.0 / sigma_px[i, c]
         seen = _Corners(X[i], x_n[i], J_px_n[i], w)
         for s in range(2):
             translation(R_s[s], X[i], x_n[i], p_s[s])
-            square[s] = _refine(R_s[s], p_s[s], seen, steps, H[s], work)
-        first = 0 if square[0] <= square[1] else 1
+            total[s] = _refine(_Pose(R_s[s], p_s[s], H[s], g), seen, steps, work)
+        first = 0 if total[0] <= total[1] else 1
         for s in range(2):
             k = first if s == 0 else 1 - first
-            p[i, s], R[i, s], rms[i, s] = p_s[k], R_s[k], np.sqrt(0.25 * square[k])
+            p[i, s], R[i, s], rms[i, s] = p_s[k], R_s[k], np.sqrt(0.25 * total[k])
             information[i, s] = H[k]
     return p, R, rms, information
 

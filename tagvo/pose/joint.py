@@ -14,7 +14,7 @@ from tagvo.geometry import Array
 from tagvo.kernels.jit import bare, njit
 from tagvo.kernels.linalg import add_square, cholesky, copy, forward, inverse_spd, multiply
 from tagvo.kernels.tag_residual import SYSTEMATIC, TagBatch, tag_rows
-from tagvo.pose.levenberg_marquardt import Work, evaluate, minimise, step
+from tagvo.pose.levenberg_marquardt import Work, evaluate, minimise, step, work_for
 
 _DECISIVE = 9.0  # in minus twice the log-likelihood
 _FEWEST_FOR_SHARE = 5
@@ -116,27 +116,7 @@ def _solve(
 ) -> tuple[Array, Array, Array, Array, Array, float, bool, float]:
     n = len(tags.sigma_px)
     R, p, cov, share = R0.copy(), p0.copy(), np.full((6, 6), np.nan), 1.0
-    rows, L, small = np.empty((8, 7)), np.empty((8, 6)), np.empty((16, 3))
-    work = Work(
-        np.empty((n, 8, 8)),
-        np.zeros(n),
-        np.zeros(n),
-        rows,
-        L,
-        np.empty((6, 6)),
-        np.empty(6),
-        small,
-    )
-    other = Work(
-        np.empty((n, 8, 8)),
-        np.zeros(n),
-        np.zeros(n),
-        rows,
-        L,
-        np.empty((6, 6)),
-        np.empty(6),
-        small,
-    )
+    work, other = work_for(n), work_for(n)
     cost, settled = minimise(R, p, tags, limit, steps, work, other)
     if adapt and settled and n >= _FEWEST_FOR_SHARE:
         share = _laying_share(R, p, tags, limit, cost, work, other)

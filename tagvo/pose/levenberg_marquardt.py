@@ -9,13 +9,15 @@ from typing import NamedTuple
 import numpy as np
 
 from tagvo.geometry import Array
+from tagvo.kernels.gauss_newton import add_row, clear, damped_step, mirror
 from tagvo.kernels.jit import bare, njit
-from tagvo.kernels.linalg import backward, cholesky, forward
+from tagvo.kernels.linalg import add_scaled, assign, dot, forward
 from tagvo.kernels.so3 import rotated
 from tagvo.kernels.tag_residual import TagBatch, residual_factor, tag_rows
 
 _SETTLED = 1e-4  # squared length [sigmas] of a step that is taken as the last, unexamined
 _FAR = 100.0  # ten sigmas
+_RIDGE = 1e-12  # [1/m^2, 1/rad^2] for a diagonal that is zero
 _WIDE, _STAGES = 3.0, 6
 
 
@@ -32,6 +34,15 @@ class Work(NamedTuple):
     small: Array
 
 
+@njit
+def work_for(n: int) -> Work:
+    """Scratch of a solution from n tags."""
+    return Work(
+        np.empty((n, 8, 8)), np.zeros(n), np.zeros(n), np.empty((8, 7)), np.empty((8, 6)),
+        np.empty((6, 6)), np.empty(6), np.empty((16, 3)),
+    )  # fmt: skip
+
+
 @bare
 def evaluate(R: Array, p: Array, tags: TagBatch, limit: float, anew: bool, work: Work) -> float:
     """Robust cost at a pose, infinite where a tag is behind; writes H, g, chi2 and weight.
@@ -39,10 +50,7 @@ def evaluate(R: Array, p: Array, tags: TagBatch, limit: float, anew: bool, work:
     anew: factorise each tag's residual covariance at this pose first.
     """
     cost, rows, H, g = 0.0, work.rows, work.H, work.g
-    for a in range(6):
-        g[a] = 0.0
-        for b in range(6):
-            H[a, b] = 0.0
+    clear(H, g)
     for i in range(len(work.chi2)):
         if not tag_rows(R, p, tags, i, rows, work.L, work.small):
             return np.inf
@@ -58,36 +66,23 @@ def evaluate(R: Array, p: Array, tags: TagBatch, limit: float, anew: bool, work:
         work.chi2[i] = d2
         work.weight[i] = w
         for k in range(8):
-            for a in range(6):
-                f = w * rows[k, 1 + a]
-                g[a] += f * rows[k, 0]
-                for b in range(a + 1):
-                    H[a, b] += f * rows[k, 1 + b]
-    for a in range(6):
-        for b in range(a):
-            H[b, a] = H[a, b]
+            add_row(rows[k, 1:], rows[k, 0], w, H, g)
+    mirror(H)
     return cost
 
 
 @njit
 def step(R: Array, p: Array, work: Work, damping: float, R_new: Array, p_new: Array) -> float:
     """Damped Gauss-Newton step; returns its squared length in sigmas, negative on failure."""
-    M, b = work.H.copy(), np.empty((6, 1))
-    for a in range(6):
-        M[a, a] = work.H[a, a] * (1.0 + damping) + 1e-12
-        b[a, 0] = work.g[a]
-    if not cholesky(M):
+    L, b = np.empty((6, 6)), np.empty((6, 1))
+    if not damped_step(work.H, work.g, damping, _RIDGE, L, b):
         return -1.0
-    forward(M, b)
-    backward(M, b)
-    length = 0.0
-    for a in range(6):
-        length += b[a, 0] * work.g[a]
-        if not np.isfinite(b[a, 0]):
-            return -1.0
+    length = dot(b[:, 0], work.g)
+    if not np.isfinite(length):
+        return -1.0
     rotated(R, b[3:, 0], R_new)
-    for a in range(3):
-        p_new[a] = p[a] + b[a, 0]
+    assign(p, p_new)
+    add_scaled(b[:3, 0], 1.0, p_new)
     return length
 
 

@@ -7,11 +7,11 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.config import JointConfig
-from tagvo.geometry import Array, IntArray
+from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.kernels.tag_residual import TagBatch
 from tagvo.pose.ambiguity import DECISIVE, prior_cost
 from tagvo.pose.joint import JointPose, solve_joint
-from tagvo.records import PoseMeasurement, PosePrior
+from tagvo.records import Observations, PoseMeasurement, PosePrior
 
 _ALTERNATIVE_TAGS = 3  # so few tags may all flip together: both branches are tried
 _CONTRADICTION = 104.5  # median chi-square of a tag, four times the 99.9 % limit: tags disagree
@@ -59,7 +59,7 @@ def measure_fused(
     t_ns: int,
     pose: tuple[Array, Array],
     cov: Array,
-    tag_ids: IntArray,
+    obs: Observations,
     rows: IntArray,
     candidates: Candidates,
     flags: set[str],
@@ -75,7 +75,7 @@ def measure_fused(
         if gap < DECISIVE:
             cov = with_doubt(cov, pose, candidates.other(int(rows[0])), gap)
             flags = flags | {"ambiguous"}
-    return _measurement(t_ns, pose, cov, tag_ids[rows], flags)
+    return _measurement(t_ns, pose, cov, obs, rows, flags)
 
 
 def best_joint(
@@ -119,7 +119,7 @@ def measure_joint(
     joint: JointPose,
     rival: JointPose | None,
     gap: float,
-    tag_ids: IntArray,
+    obs: Observations,
     reject_weight: float,
 ) -> PoseMeasurement | None:
     """The measurement of the joint pose; None where it failed or every tag was rejected."""
@@ -133,7 +133,7 @@ def measure_joint(
     contradicted = median(joint.chi2.tolist()) > _CONTRADICTION
     if not joint.converged or contradicted or used.sum() < 0.5 * len(used):
         flags.add("degraded")
-    return _measurement(t_ns, (joint.R_WC, joint.p_WC), cov, tag_ids[used], flags)
+    return _measurement(t_ns, (joint.R_WC, joint.p_WC), cov, obs, used, flags)
 
 
 def _turn(a: JointPose, b: JointPose) -> float:
@@ -141,9 +141,14 @@ def _turn(a: JointPose, b: JointPose) -> float:
 
 
 def _measurement(
-    t_ns: int, pose: tuple[Array, Array], cov: Array, tag_ids: IntArray, flags: set[str]
+    t_ns: int,
+    pose: tuple[Array, Array],
+    cov: Array,
+    obs: Observations,
+    used: IntArray | BoolArray,
+    flags: set[str],
 ) -> PoseMeasurement:
     R_WC, p_WC = pose
     symmetric = 0.5 * (cov + cov.T)
-    ids = tuple(tag_ids.tolist())
-    return PoseMeasurement(t_ns, p_WC, R_WC, symmetric, ids, tuple(sorted(flags)))
+    ids = tuple(obs.tag_id[used].tolist())
+    return PoseMeasurement(t_ns, p_WC, R_WC, symmetric, ids, tuple(sorted(flags)), obs.camera)

@@ -4,15 +4,15 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera, unproject
-from tagvo.config import FloorConfig
+from tagvo.config import IntrinsicsErrorConfig
 from tagvo.geometry import Array, IntArray
 from tagvo.kernels.tag_residual import TagBatch, systematic_shift
-from tagvo.records import BodyPoses, Detections, Observations
+from tagvo.records import Detections, ImuPoses, Observations
 from tagvo.tags.tag_map import TagMap
 
 
 def observe(
-    det: Detections, rows: IntArray, camera: Camera, corner_px: float
+    det: Detections, rows: IntArray, camera: Camera, corner_px: float, camera_index: int = 0
 ) -> tuple[Observations, int]:
     """Undistorted observations of n detections at these rows of the map, and how many were lost.
 
@@ -21,14 +21,16 @@ def observe(
     """
     corners_n, J_px_n, valid = unproject(camera, det.corners_px)
     sigma = np.where(np.isnan(det.sigma_px), corner_px, det.sigma_px)
-    obs = Observations(rows, det.tag_id, det.corners_px, corners_n, J_px_n, sigma)
+    obs = Observations(rows, det.tag_id, det.corners_px, corners_n, J_px_n, sigma, camera_index)
     if valid.all():
         return obs, 0
     good = np.asarray(valid.all(axis=1))
     return obs[good], int((~good).sum())
 
 
-def tag_batch(obs: Observations, tag_map: TagMap, camera: Camera, floor: FloorConfig) -> TagBatch:
+def tag_batch(
+    obs: Observations, tag_map: TagMap, camera: Camera, floor: IntrinsicsErrorConfig
+) -> TagBatch:
     """The arrays that the compiled kernels take, of the n observed tags."""
     rows = obs.row
     return TagBatch(
@@ -51,12 +53,12 @@ def quad_area(corners_px: Array) -> Array:
     return np.asarray(0.5 * np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]))
 
 
-def body_poses(
+def to_imu_poses(
     obs: Observations, R_WC: Array, p_WC: Array, area_px: Array, tag_map: TagMap, camera: Camera
-) -> BodyPoses:
-    """Per-tag poses of the body: T_WB_i = T_WC_i T_CI (paper, problem statement).
+) -> ImuPoses:
+    """Per-tag poses of the IMU: T_WI_i = T_WC_i T_CI (the paper's T_WB_i, problem statement).
 
     R_WC (n, 3, 3), p_WC (n, 3): the camera as each tag sees it; area_px (n,).
     """
     R_WI, p_WI = geo.compose(R_WC, p_WC, camera.R_CI, camera.p_CI)
-    return BodyPoses(obs.tag_id, tag_map.size[obs.row], tag_map.level[obs.row], area_px, p_WI, R_WI)
+    return ImuPoses(obs.tag_id, tag_map.size[obs.row], tag_map.level[obs.row], area_px, p_WI, R_WI)

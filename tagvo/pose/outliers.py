@@ -21,7 +21,7 @@ def _inliers(p: Array, gain: float, a: float, b: float, floor: float) -> BoolArr
     at = min(max(a + b * n, 0.0), n - 1.0)
     low, share = int(at), at - int(at)
     above = min(low + 1, n - 1)
-    for axis in range(3):
+    for axis in range(p.shape[1]):
         s = np.sort(p[:, axis])
         lower = s[low] + share * (s[above] - s[low])
         upper = s[n - 1 - low] + share * (s[n - 1 - above] - s[n - 1 - low])

@@ -34,6 +34,7 @@ _SURE = np.float32(0.8)  # share of the way to the next edge that is skipped, fo
 _FARTHEST = np.float32(24.0)  # [px] skipped at once
 _THREE, _TINY, _ROOT2 = np.float32(3), np.float32(1e-12), np.float32(1.4143)
 _NOTHING = np.float32(np.inf)
+_SLOPED = 3  # column, row and depth
 
 
 class Surfaces(NamedTuple):
@@ -122,7 +123,7 @@ def trace_row(rays: Array32, y: int, first: int, last: int, H: Array32, trace: A
             v0[k] = v[k] if v[k] < v0[k] else v0[k]
             v1[k] = v[k] if v[k] > v1[k] else v1[k]
             seen[k] = d[k] if d[k] < seen[k] else seen[k]
-    for axis in range(3):
+    for axis in range(_SLOPED):
         _slope(rays, y, first, last, H, axis, trace)
     for axis in range(2):
         by_x, by_y = trace[UX + 2 * axis, first:last], trace[UY + 2 * axis, first:last]

@@ -71,21 +71,27 @@ class _Row(NamedTuple):
     lone: IntArray
 
 
-class _Work(NamedTuple):
-    """Buffers: todo (w,): pixels to be sampled; trace (fields, w), spare (fields, 1); H, other
-    (p, 10); column, row, depth, ink (n,) of samples; at, place (n,): one buffer."""
+class _Sampled(NamedTuple):
+    """Of the n samples of a pixel: column, row, depth, ink; at, place: their cells, one buffer."""
 
-    todo: IntArray
-    trace: Array32
-    spare: Array32
-    H: Array32
-    other: Array32
     column: Array32
     row: Array32
     depth: Array32
     ink: Codes
     at: NDArray[np.int32]
     place: NDArray[np.uint32]
+
+
+class _Work(NamedTuple):
+    """Buffers: todo (w,): pixels to be sampled; trace (fields, w), spare (fields, 1); H, other
+    (p, 10); what the samples of a pixel meet."""
+
+    todo: IntArray
+    trace: Array32
+    spare: Array32
+    H: Array32
+    other: Array32
+    met: _Sampled
 
 
 class _Line(NamedTuple):
@@ -145,8 +151,8 @@ def _mix(
     """Bring surface i into its listed pixels, sample by sample, the nearest surface first."""
     rays, y, at = line
     n, first, kind, cells = scene.across[i], scene.first[i], scene.kind[i], scene.cells
-    trace, todo, cell, place = work.trace, work.todo, work.at, work.place
-    ink, d, outline = work.ink, work.depth, scene.outline[i]
+    trace, todo, outline = work.trace, work.todo, scene.outline[i]
+    column, row, d, ink, cell, place = work.met
     who, lone, codes, depths = pixels.who, pixels.lone, pixels.codes, pixels.depths
     many, H, other, spare, filled = len(ink), scene.H, work.other, work.spare, pixels.code
     for m in range(listed):
@@ -155,7 +161,7 @@ def _mix(
         for k in range(many):
             ink[k] = cells[place[k]]
         if kind != CELLS and cut_met(kind, outline, n, trace, x) != BARE:
-            cut_samples(scene, i, trace, x, samples, work.column, work.row, ink)
+            cut_samples(scene, i, trace, x, samples, column, row, ink)
         if who[x] == _FLOOR:
             for k in range(many):
                 codes[x, k] = ink[k]
@@ -219,11 +225,14 @@ def paint(
         np.empty((width, n), np.float32), np.empty(width, np.int64),
     )  # fmt: skip
     at, fields = np.empty(n, np.int32), POINTS + 3 * p
+    met = _Sampled(
+        np.empty(n, np.float32), np.empty(n, np.float32), np.empty(n, np.float32),
+        np.empty(n, np.uint8), at, at.view(np.uint32),
+    )  # fmt: skip
     work = _Work(
         np.empty(width, np.int64), np.empty((fields, width), np.float32),
         np.empty((fields, 1), np.float32), np.empty((p, 10), np.float32),
-        np.empty((p, 10), np.float32), np.empty(n, np.float32), np.empty(n, np.float32),
-        np.empty(n, np.float32), np.empty(n, np.uint8), at, at.view(np.uint32),
+        np.empty((p, 10), np.float32), met,
     )  # fmt: skip
     for y in range(height):
         pixels.who[:], pixels.lone[:] = _FLOOR, _FLOOR

@@ -12,6 +12,7 @@ from tagvo.camera.model import Point
 from tagvo.geometry import Array
 from tagvo.kernels.jit import bare, leaf
 from tagvo.kernels.linalg import cholesky
+from tagvo.kernels.projection import unit_square
 from tagvo.track.predict import to_pixel
 from tagvo.track.side_fit import grey
 from tagvo.track.tag_model import Cells, Gray, Lens, Limits, MapArrays
@@ -37,25 +38,6 @@ class PatternScratch(NamedTuple):
     at: Array
     score: Array
     shift: Array
-
-
-@bare
-def unit_square(quad: Array, H: Array) -> bool:
-    """Homography H (3, 3) from the unit square to a quad (4, 2) (Heckbert's closed form)."""
-    sx = quad[0, 0] - quad[1, 0] + quad[2, 0] - quad[3, 0]
-    sy = quad[0, 1] - quad[1, 1] + quad[2, 1] - quad[3, 1]
-    ax, ay = quad[1, 0] - quad[2, 0], quad[1, 1] - quad[2, 1]
-    bx, by = quad[3, 0] - quad[2, 0], quad[3, 1] - quad[2, 1]
-    det = ax * by - ay * bx
-    if abs(det) < 1e-15:
-        return False
-    g, h = (sx * by - sy * bx) / det, (ax * sy - ay * sx) / det
-    for r in range(2):
-        H[r, 0] = quad[1, r] - quad[0, r] + g * quad[1, r]
-        H[r, 1] = quad[3, r] - quad[0, r] + h * quad[3, r]
-        H[r, 2] = quad[0, r]
-    H[2, 0], H[2, 1], H[2, 2] = g, h, 1.0
-    return True
 
 
 @leaf

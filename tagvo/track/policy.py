@@ -9,9 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from tagvo.config import TrackConfig
-from tagvo.geometry import Array, BoolArray, shortest_sides
+from tagvo.geometry import Array
 from tagvo.kernels.jit import bare
-from tagvo.kernels.linalg import cholesky
+from tagvo.kernels.linalg import (
+    cholesky,
+    determinant,
+    is_finite,
+    largest_eigenvalue,
+    symmetrize,
+)
+from tagvo.kernels.so3 import not_orthonormal, orthonormalize
 from tagvo.records import PosePrior
 from tagvo.track.tag_model import Gray
 
@@ -19,7 +26,6 @@ _SAME_MOMENT_NS = 1_000_000  # a prior is for this frame when its stamp is this 
 _MAX_ROTATION_RAD = float(np.radians(6.0))  # beyond, the covariance is no ellipse in the image
 _DECIMATES = (1.5, 2.0, 3.0, 4.0)
 _SIDE_PX, _ENOUGH_TAGS = 12.0, 8
-_EXACT_PX = 10.0  # of a side after decimation; below, corners are worse, at 3 and 4 by times
 _MOSAIC = 0.04  # half the difference of a mosaic's two diagonals, over the mean
 _UNIT = 1e-3  # how far a rotation may be from orthonormal
 _LEAST_VARIANCE, _SINGULAR = 1e-24, 1e-12  # of a coordinate; of what its correlations leave of it
@@ -74,25 +80,15 @@ _FAULTS = ("prior_not_finite", "prior_not_a_rotation", "prior_singular", "prior_
 @bare
 def _examine(R: Array, p: Array, cov: Array, L: Array, E: Array) -> int:
     """Index of a fault, -1: none, and then R and cov are put right in place; L, E: scratch."""
-    for i in range(6):
-        for j in range(6):
-            if not math.isfinite(cov[i, j]):
-                return 0
-    for i in range(3):
-        if not (math.isfinite(p[i]) and math.isfinite(R[i, 0] * R[i, 1] * R[i, 2])):
-            return 0
-    if _not_orthonormal(R, E) > _UNIT or _determinant(R) < 0.0:
+    if not (is_finite(cov) and is_finite(R) and math.isfinite(p[0] + p[1] + p[2])):
+        return 0
+    if not_orthonormal(R, E) > _UNIT or determinant(R) < 0.0:
         return 1
     for _ in range(2):  # towards the nearest rotation; the error is squared each time
-        _not_orthonormal(R, E)
-        for i in range(3):
-            x, y, z = R[i, 0], R[i, 1], R[i, 2]
-            for k in range(3):
-                R[i, k] -= 0.5 * (x * E[0, k] + y * E[1, k] + z * E[2, k])
-    for i in range(6):
-        for j in range(i):
-            cov[i, j] = cov[j, i] = 0.5 * (cov[i, j] + cov[j, i])
-    for i in range(6):
+        not_orthonormal(R, E)
+        orthonormalize(R, E)
+    symmetrize(cov)
+    for i in range(len(cov)):
         for j in range(i + 1):
             if not cov[i, i] > _LEAST_VARIANCE:
                 return 2
@@ -100,40 +96,7 @@ def _examine(R: Array, p: Array, cov: Array, L: Array, E: Array) -> int:
         L[i, i] = 1.0 - _SINGULAR
     if not cholesky(L):
         return 2
-    return 3 if _largest_eigenvalue(cov[3:, 3:]) > _MAX_ROTATION_RAD**2 else -1
-
-
-@bare
-def _not_orthonormal(R: Array, E: Array) -> float:
-    """R^T R - I into E (3, 3); -> its largest element, by size."""
-    worst = 0.0
-    for i in range(3):
-        for k in range(3):
-            E[i, k] = R[0, i] * R[0, k] + R[1, i] * R[1, k] + R[2, i] * R[2, k]
-            E[i, k] -= 1.0 if i == k else 0.0
-            worst = max(worst, abs(E[i, k]))
-    return worst
-
-
-@bare
-def _determinant(A: Array) -> float:
-    a = A[1, 1] * A[2, 2] - A[1, 2] * A[2, 1]
-    b = A[1, 0] * A[2, 2] - A[1, 2] * A[2, 0]
-    c = A[1, 0] * A[2, 1] - A[1, 1] * A[2, 0]
-    return float(A[0, 0] * a - A[0, 1] * b + A[0, 2] * c)
-
-
-@bare
-def _largest_eigenvalue(A: Array) -> float:
-    """Of a symmetric (3, 3), by the cosine of a third of an angle."""
-    mean = (A[0, 0] + A[1, 1] + A[2, 2]) / 3.0
-    a, b, c = A[0, 0] - mean, A[1, 1] - mean, A[2, 2] - mean
-    d, e, f = A[0, 1], A[0, 2], A[1, 2]
-    spread = math.sqrt((a * a + b * b + c * c + 2.0 * (d * d + e * e + f * f)) / 6.0)
-    if spread <= 0.0:
-        return float(mean)
-    half = 0.5 * (a * (b * c - f * f) - d * (d * c - f * e) + e * (d * f - b * e)) / spread**3
-    return float(mean + 2.0 * spread * math.cos(math.acos(min(max(half, -1.0), 1.0)) / 3.0))
+    return 3 if largest_eigenvalue(cov[3:, 3:]) > _MAX_ROTATION_RAD**2 else -1
 
 
 def looks_mosaic(image: Gray) -> bool:
@@ -197,7 +160,7 @@ def decimate_needed(sides_px: Array, size: Array, largest_only: bool) -> float |
     sides_px (k,): shortest image side of each tag in view, size (k,) [m]; largest_only: the
     selection keeps the two largest sizes in view and needs no others. Tags of eight
     pixels and more after decimation are found in sharp images; twelve leave room for blur and for
-    those that `exact` drops.
+    those that the detector drops for inexact corners.
     """
     if not len(sides_px):
         return None
@@ -206,10 +169,3 @@ def decimate_needed(sides_px: Array, size: Array, largest_only: bool) -> float |
         sides_px = sides_px[size >= classes[-min(2, len(classes))] - 1e-6]
     needed = np.sort(sides_px)[::-1][:_ENOUGH_TAGS][-1]
     return max((d for d in _DECIMATES if needed >= _SIDE_PX * d), default=_DECIMATES[0])
-
-
-def exact(corners_px: Array, decimate: float | None) -> BoolArray:
-    """Which quads (n, 4, 2) of a search are large enough to have exact corners; None: all."""
-    if decimate is None or decimate <= _DECIMATES[0]:
-        return np.ones(len(corners_px), dtype=bool)
-    return np.asarray(shortest_sides(corners_px) >= _EXACT_PX * decimate)

@@ -9,8 +9,17 @@ import numpy as np
 
 from tagvo.camera.model import Point, distort_point
 from tagvo.geometry import Array
+from tagvo.kernels.gauss_newton import add_row
 from tagvo.kernels.jit import bare, leaf, njit
-from tagvo.kernels.linalg import inverse_spd
+from tagvo.kernels.linalg import (
+    add_scaled,
+    add_times,
+    assign,
+    copy,
+    inverse_spd,
+    subtract_times,
+)
+from tagvo.kernels.projection import camera_row
 from tagvo.kernels.so3 import rotated
 from tagvo.track.tag_model import FLAT, Belief, Lens, MapArrays, TrackedTags
 
@@ -63,14 +72,9 @@ def project_tag(
             return False
         u, v, ux, uy, vx, vy = to_pixel(lens, x, y)
         quad_n[c, 0], quad_n[c, 1], quad_px[c, 0], quad_px[c, 1] = x, y, u, v
-        for r in range(2):
-            jx, jy = (ux, uy) if r == 0 else (vx, vy)
-            a0, a1, a2 = jx / cz, jy / cz, -(jx * x + jy * y) / cz
-            for k in range(3):
-                J[c, r, k] = -(a0 * R_WC[k, 0] + a1 * R_WC[k, 1] + a2 * R_WC[k, 2])
-            J[c, r, 3] = a1 * cz - a2 * cy
-            J[c, r, 4] = a2 * cx - a0 * cz
-            J[c, r, 5] = a0 * cy - a1 * cx
+        x_C = (cx, cy, cz)
+        camera_row((ux / cz, uy / cz, -(ux * x + uy * y) / cz), x_C, R_WC, J[c, 0])
+        camera_row((vx / cz, vy / cz, -(vx * x + vy * y) / cz), x_C, R_WC, J[c, 1])
     return True
 
 
@@ -111,25 +115,6 @@ def laying_px(R_WC: Array, p_WC: Array, tags: MapArrays, i: int, lens: Lens) -> 
     slant = max((dx * dx + dy * dy + dz * dz) / (z * z) - 1.0, 0.0)
     out_of_plane = (s[2] * s[2] + s[3] * s[3] * r2) * slant
     return float(math.sqrt(across + out_of_plane) * lens.intrinsics[0] / z)
-
-
-@bare
-def corner_spread(J: Array, P: Array, out: Array) -> None:
-    """Covariance of each corner [px^2] from the pose's: J (4, 2, 6), P (6, 6) -> out (4, 3).
-
-    out: the entries uu, uv, vv.
-    """
-    for c in range(4):
-        uu = uv = vv = 0.0
-        for k in range(6):
-            row_u = row_v = 0.0
-            for m in range(6):
-                row_u += J[c, 0, m] * P[m, k]
-                row_v += J[c, 1, m] * P[m, k]
-            uu += row_u * J[c, 0, k]
-            uv += row_u * J[c, 1, k]
-            vv += row_v * J[c, 1, k]
-        out[c, 0], out[c, 1], out[c, 2] = uu, uv, vv
 
 
 @bare
@@ -189,11 +174,9 @@ def posterior(
         return False
     R_WC[:], p_WC[:] = R0, p0
     for step in range(_STEPS):
-        for a in range(6):
-            b[a, 0] = 0.0
-            for k in range(6):
-                H[a, k] = info[a, k]
-                b[a, 0] -= info[a, k] * xi[k]
+        copy(info, H)
+        b[:] = 0.0
+        subtract_times(info, xi, b[:, 0])
         for t in range(count):
             i = rows[t]
             chi[t] = np.inf
@@ -210,22 +193,15 @@ def posterior(
             for c in range(4):
                 w = weight / (sigma_px[t, c] * sigma_px[t, c] + 4.0 * lay * lay)
                 for r in range(2):
-                    e = corners_px[t, c, r] - quad_px[c, r]
-                    for a in range(6):
-                        f = w * J[c, r, a]
-                        b[a, 0] += f * e
-                        for k in range(a + 1):  # the lower half is all that is read
-                            H[a, k] += f * J[c, r, k]
+                    add_row(J[c, r], corners_px[t, c, r] - quad_px[c, r], w, H, b[:, 0])
         if not inverse_spd(H, P):
             return False
         if step == _STEPS - 1:
             break
-        for a in range(6):
-            for k in range(6):
-                xi[a] += P[a, k] * b[k, 0]
+        add_times(P, b[:, 0], xi)
         rotated(R0, xi[3:], R_WC)
-        for k in range(3):
-            p_WC[k] = p0[k] + xi[k]
+        assign(p0, p_WC)
+        add_scaled(xi[:3], 1.0, p_WC)
     return True
 
 

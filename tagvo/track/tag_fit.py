@@ -34,6 +34,7 @@ _SLACK_PX = 0.6  # what the prediction does not know: residual distortion, rolli
 _SAFE = 0.9  # cells: within this an edge cannot be taken for the next one of its sense
 _NEARLY_SAFE = 1.4  # cells: an edge is looked for within _SAFE first, by the print if that fails
 _SCAN_PX, _SETTLED_PX = 1.5, 0.4  # between scans of the last rounds; what makes another round idle
+_MOST_ROUNDS = 3  # of narrow fits; fewer where a round is idle
 _BLURRED_PX = 0.6  # spread of an edge from which neighbouring edges bleed into its ends
 _STRAIGHT_PX = 40.0  # sides up to this bend by less than a tenth of a pixel in any usual lens
 _MIN_CORRELATION = 0.55
@@ -226,7 +227,7 @@ def _fit_tag(
     scans = min(max(int(0.76 * extent(was)[0] / _SCAN_PX), 8), MAX_SCANS)
     _to_pixels(lens, quad_n, s.nodes)
     narrow = SideSearch(most, scans, 0.6, False, False)
-    for _ in range(3):
+    for _ in range(_MOST_ROUNDS):
         if not _fit_round(image, lens, sense, quad_n, narrow, s):
             return NO_EDGE
         _put(out, quad_n)

@@ -9,8 +9,8 @@ import numpy as np
 
 from tagvo.geometry import IntArray
 from tagvo.kernels.jit import bare, njit
+from tagvo.kernels.projection import corner_covariance
 from tagvo.track.predict import (
-    corner_spread,
     extent,
     inside,
     largest_sigma,
@@ -50,7 +50,7 @@ def _foresee(task: Task, camera: Belief, i: int, out: Foreseen, s: Scratch) -> b
     side, height = extent(quad_px)
     if side < least or height < 0.5 * least:
         return False
-    corner_spread(s.J, P, s.spread)
+    corner_covariance(s.J, P, s.spread)
     lay = laying_px(R_WC, p_WC, tags, i, lens)
     out.sigma_px[i] = math.sqrt(largest_sigma(s.spread) ** 2 + lay * lay)
     out.cell_px[i] = min(side, height) / tags.border

@@ -149,7 +149,7 @@ def _gaps(traces: dict[str, Trace]) -> Iterator[tuple[float, float]]:
         twin = traces.get(name.replace("QL2", "CL2"))
         if twin is None or twin is trace or trace.fused is None or twin.fused is None:
             continue
-        assert trace.bodies is not None
+        assert trace.imu_poses is not None
         R_mean = trace.fused.R_WI
-        spread = geo.angle(R_mean.T @ trace.bodies[trace.kept].R_WI).max()
+        spread = geo.angle(R_mean.T @ trace.imu_poses[trace.kept].R_WI).max()
         yield float(spread), float(geo.angle(R_mean.T @ twin.fused.R_WI))

@@ -23,7 +23,7 @@ from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame
 from tagvo.tags.tag_map import TagMap, load_map
 from vio.sources.flight_log.files import read_detections
-from vio.sources.flight_log.frames import read_image
+from vio.sources.flight_log.log_frames import read_image
 from vio.sources.flight_log.tally import Tally
 
 SIGMA_M, SIGMA_RAD = 5e-3, np.radians(0.3)  # weights of the fit: the spread of one photograph

@@ -54,13 +54,11 @@ def test_jacobians_by_differences(phi, d):
     left = central_difference(lambda e: geo.log(geo.exp(phi + e) @ R.T), 3)
     assert_allclose(geo.right_jacobian(phi), right, atol=1e-8)
     assert_allclose(geo.left_jacobian(phi), left, atol=1e-8)
-    assert_allclose(geo.right_jacobian_inv(phi) @ geo.right_jacobian(phi), np.eye(3), atol=1e-9)
 
 
 @given(rotvecs, points)
-def test_hat_and_vee(phi, x):
+def test_hat_is_the_cross_product(phi, x):
     assert_allclose(geo.hat(phi) @ x, np.cross(phi, x), atol=1e-12)
-    assert_allclose(geo.vee(geo.hat(phi)), phi, rtol=0)
 
 
 @given(rotvecs)
@@ -82,6 +80,14 @@ def test_quaternion_products_are_rotation_products(a, b):
     assert_allclose(geo.matrix_from_quat(q), geo.exp(a) @ geo.exp(b), atol=1e-12)
 
 
+@given(rotvecs)
+def test_quaternion_exponential_is_that_of_the_matrix_and_the_conjugate_undoes_it(phi):
+    q = geo.exp_quat(phi)
+    assert_allclose(geo.matrix_from_quat(q), geo.exp(phi), atol=1e-12)
+    undone = geo.multiply_quat(geo.conjugate_quat(q), q)
+    assert_allclose(undone, [1.0, 0.0, 0.0, 0.0], atol=1e-12)
+
+
 @given(away_from_pi, points)
 def test_se3_is_the_matrix_exponential(phi, rho):
     twist = np.zeros((4, 4))
@@ -91,16 +97,6 @@ def test_se3_is_the_matrix_exponential(phi, rho):
     scale = 1.0 + np.linalg.norm(rho)
     assert_allclose(R, T[:3, :3], atol=1e-12)
     assert_allclose(p, T[:3, 3], atol=1e-12 * scale)
-    assert_allclose(geo.log_se3(R, p), np.concatenate([rho, phi]), atol=1e-9 * scale)
-
-
-@given(rotvecs, points, away_from_pi, points)
-def test_adjoint_moves_a_twist_to_the_other_side(phi, p, w, v):
-    R, xi = geo.exp(phi), 0.1 * np.concatenate([v, w])
-    right = geo.compose(R, p, *geo.exp_se3(xi))
-    left = geo.compose(*geo.exp_se3(geo.adjoint(R, p) @ xi), R, p)
-    assert_allclose(left[0], right[0], atol=1e-9)
-    assert_allclose(left[1], right[1], atol=1e-7)
 
 
 @given(rotvecs, points, points)
@@ -150,10 +146,7 @@ def test_batches_are_what_single_calls_give(batch):
         "quat": (geo.quat_from_matrix, (R,)),
         "matrix": (geo.matrix_from_quat, (geo.quat_from_matrix(R),)),
         "jr": (geo.right_jacobian, (phi,)),
-        "jri": (geo.right_jacobian_inv, (phi,)),
         "rpy": (geo.rpy_from_matrix, (R,)),
-        "adjoint": (geo.adjoint, (R, p)),
-        "log_se3": (geo.log_se3, (R, p)),
         "transform": (geo.transform, (R, p, p)),
         "so3": (geo.project_to_so3, (R,)),
         "angle": (geo.angle, (R,)),

@@ -1,5 +1,7 @@
 """From detections to the measurement: trace, variants by name, frames with little or bad input."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -47,7 +49,7 @@ def test_the_trace_is_whole_and_consistent(pose):
     assert trace.reason is None
     assert trace.tag_poses.R_CT.shape == trace.candidates.R_WC.shape == (n, 2, 3, 3)
     assert trace.tag_poses.cov.shape == (n, 2, 6, 6)
-    assert len(trace.bodies) == len(trace.selected) == len(trace.candidates.branch) == n
+    assert len(trace.imu_poses) == len(trace.selected) == len(trace.candidates.branch) == n
     assert trace.selected[trace.kept].all()
     assert len(trace.fused.weights) == len(trace.kept)
     R_WC, p_WC = geo.compose(
@@ -72,13 +74,13 @@ def test_stages_are_the_named_functions(select, outliers):
         for mean in MEAN:
             vo = vo_of(pose="fused", select=select, outliers=outliers, weights=weights, mean=mean)
             trace = vo.trace(frame_at(2).frame)
-            bodies = trace.bodies
-            mask = SELECT[select](bodies)
-            rows = np.flatnonzero(mask)[REJECT[outliers](bodies.p_WI[mask], vo.config.iqr)[0]]
+            imu_poses = trace.imu_poses
+            mask = SELECT[select](imu_poses)
+            rows = np.flatnonzero(mask)[REJECT[outliers](imu_poses.p_WI[mask], vo.config.iqr)[0]]
             assert_array_equal(trace.kept, rows)
-            w = WEIGHT[weights](bodies.level[rows])
-            assert_allclose(trace.fused.p_WI, np.average(bodies.p_WI[rows], axis=0, weights=w))
-            q = MEAN[mean](geo.quat_from_matrix(bodies.R_WI[rows]), w)[0]
+            w = WEIGHT[weights](imu_poses.level[rows])
+            assert_allclose(trace.fused.p_WI, np.average(imu_poses.p_WI[rows], axis=0, weights=w))
+            q = MEAN[mean](geo.quat_from_matrix(imu_poses.R_WI[rows]), w)[0]
             assert_allclose(trace.fused.R_WI, geo.matrix_from_quat(q), atol=1e-12)
 
 
@@ -122,6 +124,15 @@ def test_broken_and_unknown_tags_among_good_ones_change_nothing(pose):
         np.concatenate([bad[:1], det.corners_px, bad[1:]]),
     )
     assert same(vo(frame), vo(Frame(0, detections=more)))
+
+
+@pytest.mark.parametrize("pose", POSES)
+def test_the_camera_s_index_goes_with_the_frame_and_changes_nothing_else(pose):
+    frame, vo = frame_at(5).frame, vo_of(pose=pose)
+    trace = vo.trace(replace(frame, camera=2))
+    assert (trace.observations.camera, trace.observations[:2].camera, trace.pose.camera) == (2,) * 3
+    assert vo(frame).camera == 0
+    assert same(vo(frame), trace.pose)
 
 
 @pytest.mark.parametrize("pose", POSES)

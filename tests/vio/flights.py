@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from study_flights import FLIGHTS, PoseNoise, simulate_poses
 
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera
@@ -10,9 +11,7 @@ from tagvo.records import PoseMeasurement
 from vio.config.filter import VioConfig
 from vio.filter.eskf import ErrorStateFilter
 from vio.records import ImuSample
-from vio.sim.sensors.pose_noise import PoseNoise, simulate_poses
 from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
-from vio.sim.world.trajectory import FLIGHTS
 
 _R_CI = geo.exp(np.array([np.pi, 0.0, 0.0])) @ geo.exp(np.array([0.0, 0.0, 0.3]))
 CAMERA = Camera(

@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 from flights import CAMERA
 from simulated import arena, corners_seen
+from study_flights import t3
 
 from tagvo import geometry as geo
 from tagvo.records import Detections, Frame
 from vio.records import ImuSample
 from vio.sim.sensors.simple_imu import PIXHAWK, simulate_imu
-from vio.sim.world.trajectory import t3
-from vio.sinks.log import LogWriter
+from vio.sinks.log_writer import LogWriter
 
 START_NS = 1_700_000_000_000_000_000
 FRAME_HZ = 10

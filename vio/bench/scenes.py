@@ -14,7 +14,7 @@ from tagvo.records import PosePrior
 from tagvo.render.view import Image, Look, exposure_poses, render_view
 from tagvo.tags.tag_map import TagMap, load_map, tag_corners
 from vio.config.shipped import config_path
-from vio.sim.demo import demo_camera, demo_flight
+from vio.sim.demo import camera_poses, demo_camera, demo_flight
 
 SIZES = {"640x480": (640, 480), "1280x720": (1280, 720), "1640x1232": (1640, 1232)}
 LOOKS = ("sharp", "blurred", "noisy", "dark")
@@ -53,8 +53,8 @@ def floor_and_camera(size: str) -> tuple[TagMap, Camera]:
 def rendered(tag_map: TagMap, camera: Camera, look: str, count: int) -> Iterator[View]:
     """Views along the demo's flight, evenly in time."""
     flight, rng = demo_flight(), np.random.default_rng([LOOKS.index(look), count])
-    for t in np.linspace(*_SPAN_S, count):
-        R_WC, p_WC = flight.camera(np.array(t), camera)
+    poses = camera_poses(flight(np.linspace(*_SPAN_S, count)), camera)
+    for R_WC, p_WC in zip(*poses, strict=True):
         R, p = R_WC, p_WC
         if look == "blurred":
             angle, px = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*_BLUR_PX)
@@ -95,7 +95,7 @@ def photographs(folder: Path) -> tuple[TagMap, Camera, list[View]]:
     """The photographs of a folder with images/, camera.yaml and tagmap.yaml."""
     from tagvo.pipeline import TagVO
     from tagvo.records import Frame
-    from vio.sources.flight_log.frames import read_image
+    from vio.sources.flight_log.log_frames import read_image
 
     tag_map, camera = load_map(folder / "tagmap.yaml"), load_camera(folder / "camera.yaml")
     vo, rng, views = TagVO(camera, tag_map), np.random.default_rng(0), []

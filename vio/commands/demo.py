@@ -70,17 +70,18 @@ def _fly(log: Path, quick: bool) -> None:
     from vio.config.shipped import config_path
     from vio.sim import demo as demo
     from vio.sim.sensors.simple_imu import PIXHAWK
-    from vio.sinks.log import LogWriter
+    from vio.sinks.log_writer import LogWriter
 
     tag_map = load_map(config_path("maps/arena.yaml"))
     camera = demo.demo_camera(load_camera(config_path("cameras/arena.yaml")))
     flight = demo.demo_flight()
     frame_ns, truth_ns = demo.stamps(quick)
     t = demo.seconds(truth_ns)
-    q_WI = geo.quat_from_matrix(flight.R_WI(t))
+    true = flight(t)
+    q_WI = geo.quat_from_matrix(true.R_WI)
     with LogWriter(log, replace=True) as writer:
         writer.setup(tag_map, camera, PIXHAWK)
-        for row in zip(truth_ns.tolist(), flight.p(t), q_WI, flight.v(t), strict=True):
+        for row in zip(truth_ns.tolist(), true.p_WI, q_WI, true.v_WI, strict=True):
             writer.truth(*row)
         for sample in demo.imu_samples(flight, PIXHAWK, quick):
             writer.imu(sample)

@@ -161,11 +161,11 @@ def _wiggle(line: "Line") -> "list[Finding]":
     from vio.doctor.hand_test import ORDERS
 
     typer.echo("Disarmed, propellers off, the daemon sending. Five steps; be still after each.")
-    walk = line.walk()
+    samples = line.hand_test()
     for order in ORDERS.values():
         typer.prompt(f"{order} Hold still, then press Enter", default="", show_default=False,
                      prompt_suffix="")  # fmt: skip
-        line.rest(walk)
-    found = walk.judge()
+        line.rest(samples)
+    found = samples.judge()
     typer.echo(render.findings_text(found) if found else "every axis is right")
     return found

@@ -23,11 +23,11 @@ def between(
     place = np.searchsorted(anchor_ns, grid, side="right") - 1  # the anchor before each point
     carried = _carried(turns, first, q_WB, len(grid))
     missing = np.zeros((len(anchor_ns), 3))
-    arrived = geo.multiply_quat(carried[first[1:] - 1], _quat(turns[first[1:] - 1]))
-    missing[:-1] = geo.log_quat(geo.multiply_quat(_conjugate(arrived), q_WB[1:]))
+    arrived = geo.multiply_quat(carried[first[1:] - 1], geo.exp_quat(turns[first[1:] - 1]))
+    missing[:-1] = geo.log_quat(geo.multiply_quat(geo.conjugate_quat(arrived), q_WB[1:]))
     span = np.append(np.diff(anchor_ns), 1)[place]
     share = (grid - anchor_ns[place]) / span
-    whole = geo.multiply_quat(carried, _quat(missing[place] * share[:, None]))
+    whole = geo.multiply_quat(carried, geo.exp_quat(missing[place] * share[:, None]))
     return np.asarray(whole[np.searchsorted(grid, t_ns)])
 
 
@@ -46,14 +46,5 @@ def _carried(turns: Array, first: IntArray, q_WB: Array, n: int) -> Array:
     out[first] = q_WB
     for step in range(1, int((last - first).max())):
         at = (first + step)[first + step < last]
-        out[at] = geo.multiply_quat(out[at - 1], _quat(turns[at - 1]))
+        out[at] = geo.multiply_quat(out[at - 1], geo.exp_quat(turns[at - 1]))
     return out
-
-
-def _quat(phi: Array) -> Array:
-    half = 0.5 * np.linalg.norm(phi, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(half), 0.5 * phi * np.sinc(half / np.pi)], axis=-1)
-
-
-def _conjugate(q: Array) -> Array:
-    return np.asarray(q * [1.0, -1.0, -1.0, -1.0])

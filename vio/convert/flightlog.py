@@ -11,7 +11,7 @@ from vio.convert.records import Foreign, FrameReel
 from vio.errors import LogError
 from vio.sources.flight_log.arrivals import read_imu_of
 from vio.sources.flight_log.files import read_truth
-from vio.sources.flight_log.frames import FrameSource, open_frames
+from vio.sources.flight_log.log_frames import FrameSource, open_frames
 from vio.sources.flight_log.options import LogOptions
 from vio.sources.flight_log.tally import Tally
 

@@ -72,7 +72,7 @@ def write_flight_log(
     out: Path, found: Foreign, rig: Rig, step: Step, stop: Stop, *, replace: bool = False
 ) -> Written:
     """A flight log of what was found; what it holds and what `tagvio run` still lacks, in words."""
-    from vio.sinks.log import LogWriter
+    from vio.sinks.log_writer import LogWriter
 
     tag_map, camera, noise = rig.tag_map, rig.camera, rig.noise
     done = 0

@@ -18,7 +18,7 @@ from tagvo.errors import TagvoError
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame, PosePrior
 from vio.localize.stopwatch import Stopwatch
-from vio.sources.live.camera import Latest
+from vio.sources.live.live_camera import Latest
 
 LOG = logging.getLogger("vio.daemon")
 _KEEP = 900  # frames whose time is remembered

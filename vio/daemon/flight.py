@@ -10,7 +10,6 @@ from typing import Any
 
 from tagvo.pipeline import TagVO, Trace
 from tagvo.records import Frame, PosePrior
-from vio.daemon.clock import FlightClock
 from vio.daemon.detection_threads import Detection
 from vio.daemon.latency_meter import Meter
 from vio.daemon.preflight import Parts
@@ -19,6 +18,7 @@ from vio.daemon.recorder import Recorder
 from vio.daemon.setup_guard import SetupGuard
 from vio.daemon.status import Rates, Status, cpu_by_thread
 from vio.daemon.systemd import Systemd
+from vio.daemon.time_base import FlightClock
 from vio.localize.baselines import VoOnly
 from vio.localize.run import RunResult, Sink, run
 from vio.localize.stopwatch import Stopwatch
@@ -26,8 +26,8 @@ from vio.mavlink.bridge import Bridge
 from vio.mavlink.latency import Ages
 from vio.setup_check.watch import SetupWatch
 from vio.sinks.live_view import LiveView
-from vio.sources.live.camera import Latest
 from vio.sources.live.events import LiveEvents
+from vio.sources.live.live_camera import Latest
 
 LOG = logging.getLogger("vio.daemon")
 _KEEP = 900

@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 
 from tagvo.records import Frame
-from vio.daemon.clock import FlightClock
 from vio.daemon.latency_meter import Meter
+from vio.daemon.time_base import FlightClock
 from vio.sources.flight_log.log import Event, FlightLog
-from vio.sources.live.camera import Latest
 from vio.sources.live.events import LiveEvents
+from vio.sources.live.live_camera import Latest
 
 _AHEAD = 64  # events read ahead, images decoded
 

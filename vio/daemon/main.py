@@ -16,7 +16,6 @@ from tagvo.detect.rejection import filter_detections
 from tagvo.pipeline import TagVO
 from tagvo.records import Frame
 from vio.config import Config
-from vio.daemon.clock import FlightClock
 from vio.daemon.flight import Counters, Flight, start_status
 from vio.daemon.ground_detector import GroundJudge
 from vio.daemon.log_player import Player
@@ -31,6 +30,7 @@ from vio.daemon.preflight import (
 from vio.daemon.recorder import Recorder
 from vio.daemon.status import waiting_status, write_status
 from vio.daemon.systemd import Systemd
+from vio.daemon.time_base import FlightClock
 from vio.errors import LinkError, LogError, VioError
 from vio.localize.run import RunResult
 from vio.localize.warmup import warm_all
@@ -39,9 +39,9 @@ from vio.records import Ground, ImuSample
 from vio.setup_check.unmapped_tags import UnmappedTags, other_family
 from vio.sinks.live_view import LiveView
 from vio.sources.flight_log.log import FlightLog
-from vio.sources.live.camera import LiveCamera
 from vio.sources.live.grab import Grabber, open_camera
 from vio.sources.live.imu import MavlinkImu
+from vio.sources.live.live_camera import LiveCamera
 
 LOG = logging.getLogger("vio.daemon")
 _LOOK_S = 0.25

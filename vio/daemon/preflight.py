@@ -18,7 +18,7 @@ from tagvo.textfile import read_text
 from vio.config import Config
 from vio.errors import VioError
 from vio.records import ImuNoise
-from vio.sinks.log import LogWriter, make_private_folder, opened_private
+from vio.sinks.log_writer import LogWriter, make_private_folder, opened_private
 from vio.sources.flight_log.files import read_imu_noise
 
 

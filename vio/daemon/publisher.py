@@ -6,8 +6,8 @@ from typing import Protocol
 
 from tagvo.records import Frame, Observations, PoseMeasurement, PosePrior
 from vio.config import Config
-from vio.daemon.clock import FlightClock
 from vio.daemon.preflight import Parts
+from vio.daemon.time_base import FlightClock
 from vio.filter.eskf import ErrorStateFilter
 from vio.filter.health import Health
 from vio.localize.localizer import Localizer

@@ -22,7 +22,7 @@ from vio.config.daemon import RecordConfig
 from vio.filter.health import Health
 from vio.mavlink.messages import Outgoing
 from vio.records import Ground, ImuSample, NavState
-from vio.sinks.log import LogWriter
+from vio.sinks.log_writer import LogWriter
 from vio.sinks.tum import tum_line
 
 LOG = logging.getLogger("vio.record")

@@ -1,7 +1,15 @@
 """All rules over all facts: what is wrong, the worst first."""
 
 from vio.doctor.records import Facts, Finding, Severity
-from vio.doctor.rules import ardupilot, base, delay, link, ports, px4, state
+from vio.doctor.rules import (
+    ardupilot_parameters,
+    base,
+    connection,
+    delay,
+    ports,
+    px4_parameters,
+    streams,
+)
 from vio.mavlink.messages import ARDUPILOT
 
 _ORDER = list(Severity)
@@ -11,7 +19,7 @@ _DEAF = {"parameters", "timesync_no_answer", "imu_missing"}
 
 def check(facts: Facts) -> list[Finding]:
     """Every finding, errors before warnings before what is good to know."""
-    found = [finding for rule in (*link.RULES, *state.RULES) for finding in rule(facts)]
+    found = [finding for rule in (*connection.RULES, *streams.RULES) for finding in rule(facts)]
     if facts.params:
         found += base.check(param_rules(facts.autopilot), facts)
         found += ports.check(facts)
@@ -26,12 +34,12 @@ def check(facts: Facts) -> list[Finding]:
 
 def param_rules(autopilot: int) -> list[base.ParamRule]:
     """The rules on single parameters of an autopilot (MAV_AUTOPILOT)."""
-    return ardupilot.rules() if autopilot == ARDUPILOT else px4.rules()
+    return ardupilot_parameters.rules() if autopilot == ARDUPILOT else px4_parameters.rules()
 
 
 def names(autopilot: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Parameters to read: those that must exist, and all others that a rule looks at."""
-    home = ardupilot if autopilot == ARDUPILOT else px4
+    home = ardupilot_parameters if autopilot == ARDUPILOT else px4_parameters
     needed = home.NEEDED
     more = [name for rule in param_rules(autopilot) for name in rule.names]
     others = dict.fromkeys([*more, *home.OPTIONAL])

@@ -83,7 +83,6 @@ class Examiner:
         self._version_1 = False
         self._asked = 0
         self._rtts: list[float] = []
-        self._epoch: int | None = None
         self._responders: set[str] = set()
         self._others: set[str] = set()
         self._flags: int | None = None

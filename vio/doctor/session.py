@@ -8,7 +8,7 @@ import numpy as np
 
 from vio.config.mavlink import ImuLinkConfig, MavlinkConfig
 from vio.doctor.collect import Examiner
-from vio.doctor.hand_test_data import Walk
+from vio.doctor.hand_test_samples import HandTestSamples
 from vio.doctor.params import ParamWriter
 from vio.doctor.records import Change, Facts
 from vio.errors import LinkError
@@ -60,27 +60,27 @@ class Line:
         self._pump(writer, lambda: writer.done or vehicle.armed or now_ns() > end_ns)
         return writer.results
 
-    def walk(self) -> Walk:
+    def hand_test(self) -> HandTestSamples:
         """Begin to listen for positions and yaws; see `rest`."""
         vehicle = self._bridge.companion.vehicle
         assert vehicle.system is not None
-        walk = Walk(vehicle)
-        self._bridge.send(walk.questions(vehicle.system))
-        return walk
+        samples = HandTestSamples(vehicle)
+        self._bridge.send(samples.questions(vehicle.system))
+        return samples
 
-    def rest(self, walk: Walk) -> None:
-        """Wait for a second of rest, five at most, and have `walk` take the last one."""
-        self._drain(walk)
+    def rest(self, samples: HandTestSamples) -> None:
+        """Wait for a second of rest, five at most, and have `samples` take the last one."""
+        self._drain(samples)
         start_ns = now_ns()
 
         def done() -> bool:
             now = now_ns()
             if now - start_ns <= _REST_NS:
                 return False
-            return now - start_ns > _MOST_REST_NS or walk.still(now - _REST_NS)
+            return now - start_ns > _MOST_REST_NS or samples.still(now - _REST_NS)
 
-        self._pump(walk, done)
-        walk.rested(now_ns() - _REST_NS)
+        self._pump(samples, done)
+        samples.rested(now_ns() - _REST_NS)
 
     def close(self) -> None:
         """Give the link back."""

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Diary:
+class FilterLog:
     """n frames: t_ns (n,) camera clock; each belief with its sigma, (n, k) and (n, k).
 
     gyro_bias [rad/s], accel_bias [m/s^2]: in I; camera_rotation [rad]: right rotation of R_IC away
@@ -34,15 +34,15 @@ class Diary:
         return len(self.t_ns)
 
 
-class DiaryKeeper:
-    """Owns the rows; `note` asks the filter after a frame."""
+class FilterLogRecorder:
+    """Owns the rows; `record` asks the filter after a frame."""
 
     def __init__(self, estimator: "ErrorStateFilter", R_IC: Array) -> None:
         """R_IC (3, 3): the camera in the IMU as the calibration file has it."""
         self._estimator, self._q_CI = estimator, geo.quat_from_matrix(R_IC.T)
         self._rows: list[tuple[int, Array, Array, float, int]] = []
 
-    def note(self, t_ns: int) -> None:
+    def record(self, t_ns: int) -> None:
         """A frame has been taken."""
         x, P = self._estimator.state(), self._estimator.covariance()
         if x is not None and P is not None:
@@ -50,7 +50,7 @@ class DiaryKeeper:
             resets = self._estimator.health().resets
             self._rows.append((t_ns, x, sigma, self._estimator.nis, resets))
 
-    def diary(self) -> Diary | None:
+    def log(self) -> FilterLog | None:
         """All rows; None where the filter never started."""
         if not self._rows:
             return None
@@ -58,7 +58,7 @@ class DiaryKeeper:
         x, s = np.stack(states), np.stack([row[: at.BASE] for row in sigmas])
         q_IC = x[:, at.X_QIC : at.X_QIC + 4]
         turned = geo.log_quat(geo.multiply_quat(np.broadcast_to(self._q_CI, q_IC.shape), q_IC))
-        return Diary(
+        return FilterLog(
             np.array(times, dtype=np.int64),
             (x[:, at.X_BG : at.X_BG + 3], s[:, at.BG : at.BG + 3]),
             (x[:, at.X_BA : at.X_BA + 3], s[:, at.BA : at.BA + 3]),

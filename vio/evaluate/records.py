@@ -7,7 +7,6 @@ import numpy as np
 
 from tagvo.geometry import Array, BoolArray, IntArray
 
-ESTIMATORS = ("vo", "vo_fir", "vo_kf", "vio", "fc")
 MAX_GAP_NS = 100_000_000  # truth is interpolated over gaps of at most this
 
 

@@ -108,7 +108,7 @@ def interpolate(truth: TruthTrack, t_ns: IntArray, max_gap_ns: int = MAX_GAP_NS)
     at_row = np.minimum(np.abs(t_ns - t0), np.abs(t_ns - t1)) <= SNAP_NS
     share = np.clip((t_ns - t0) / np.maximum(gap, 1), 0.0, 1.0)[:, None]
     R0 = geo.matrix_from_quat(truth.q_WI[left])
-    conjugate = truth.q_WI[left] * np.array([1.0, -1.0, -1.0, -1.0])
+    conjugate = geo.conjugate_quat(truth.q_WI[left])
     turn = geo.log_quat(geo.multiply_quat(conjugate, truth.q_WI[right]))
     return TruthAt(
         (inside & (gap <= max_gap_ns)) | at_row,

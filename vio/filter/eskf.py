@@ -7,7 +7,7 @@ import numpy as np
 
 from tagvo import geometry as geo
 from tagvo.camera.model import Camera
-from tagvo.config import FloorConfig
+from tagvo.config import IntrinsicsErrorConfig
 from tagvo.geometry import Array, IntArray
 from tagvo.records import Observations, PoseMeasurement, PosePrior
 from tagvo.tags.tag_map import TagMap
@@ -55,11 +55,11 @@ class ErrorStateFilter:
         camera: Camera,
         noise: ImuNoise,
         tag_map: TagMap | None = None,
-        floor: FloorConfig | None = None,
+        floor: IntrinsicsErrorConfig | None = None,
     ) -> None:
         R_IC, p_IC = geo.invert(camera.R_CI, camera.p_CI)
         self._config, self._map = config, tag_map
-        self._centre_px, self._floor = camera.intrinsics[2:], floor or FloorConfig()
+        self._centre_px, self._floor = camera.intrinsics[2:], floor or IntrinsicsErrorConfig()
         self._rig = Rig(R_IC, p_IC, camera.timeshift_s)
         known = tag_map.gravity if tag_map is not None else None
         self._gravity = (

@@ -269,10 +269,13 @@ class History:
         if self.count == len(rows.stamp):
             self.archive(self.count - self._keep_slots)
         j = int(np.searchsorted(rows.stamp[: self.count], stamp_ns))
-        while j < self.count and rows.stamp[j] == stamp_ns and rows.z[j, 0] >= z[0]:
-            if rows.z[j, 0] == z[0]:
-                return "duplicate"
-            j += 1  # of one stamp they lie by kind, however they come
+        kind, camera = z[kinds.KIND], z[kinds.CAMERA]
+        while j < self.count and rows.stamp[j] == stamp_ns and rows.z[j, kinds.KIND] >= kind:
+            if rows.z[j, kinds.KIND] == kind and rows.z[j, kinds.CAMERA] >= camera:
+                if rows.z[j, kinds.CAMERA] == camera:
+                    return "duplicate"
+                break
+            j += 1  # of one stamp they lie by kind and camera, however they come
         first = int(snapshot_before(s.t, s.x, self.last, stamp_ns))
         while first >= 0 and j < self.count and rows.due[j] <= s.t[first]:
             first -= 1

@@ -135,4 +135,5 @@ class Localizer:
         if prior is None or seen is None:
             return measured
         tags = Detections.of(seen.tag_id, seen.corners_px, sigma_px=seen.sigma_px)
-        return self._second_look(Frame(t_ns, detections=tags), prior) or measured
+        frame = Frame(t_ns, detections=tags, camera=seen.camera)
+        return self._second_look(frame, prior) or measured

@@ -11,18 +11,19 @@ from tagvo.camera.model import Camera
 from tagvo.config import FilterConfig, TagvoConfig, TrackConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.geometry import Array
-from tagvo.pipeline import TagVO, Trace
+from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, PoseMeasurement, PosePrior
 from tagvo.tags.families import FAMILIES
 from tagvo.tags.tag_map import TagMap, map_from_dict
 from tagvo.track import Tracker
+from vio.config import Config
 from vio.config.filter import VioConfig
-from vio.filter.eskf import ErrorStateFilter
-from vio.filter.noise_model import USUAL_NOISE
+from vio.localize.localizer import Localizer
 from vio.records import ImuSample
 
 _SIDE_PX, _PITCH_PX = 40.0, 50.0
-_IMU_STEP_NS, _STEPS, _POSE_EVERY = 10_000_000, 150, 5  # 1.5 s at 100 Hz, poses at 20 Hz
+_IMU_STEP_NS, _STEPS, _FRAME_EVERY = 10_000_000, 150, 5  # 1.5 s at 100 Hz, frames at 20 Hz
+_LATE_NS = 15_000_000  # a frame falls between two samples, and is known after both
 
 
 def warm_up(
@@ -43,12 +44,13 @@ def warm_up(
     square = 0.5 * _SIDE_PX * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     corners = offsets[:, None] + square + np.array([pu, pv])
     every_tag = FilterConfig.model_validate({"min_side_px": 0.0, "edge_px": -1e6})
-    vo = TagVO(camera, made_up, config.model_copy(update={"filters": every_tag}))
+    config = config.model_copy(update={"filters": every_tag})
+    vo = TagVO(camera, made_up, config)
     frames = [Frame(0, detections=Detections.of(made_up.tag_id[:n], corners[:n])) for n in (1, 4)]
-    trace = [vo.trace(frame) for frame in frames][-1]
-    if vio is not None and trace.pose is not None:
-        _warm_filter(vo, frames[-1], trace, trace.pose, vio)
-    return trace.pose
+    pose = [vo(frame) for frame in frames][-1]
+    if vio is not None and pose is not None:
+        _warm_filter(vo, frames[-1], pose, config, vio)
+    return pose
 
 
 def warm_all(
@@ -97,23 +99,19 @@ def warm_renderer(tag_map: TagMap, camera: Camera) -> None:
 
 
 def _warm_filter(
-    vo: TagVO, frame: Frame, trace: Trace, pose: PoseMeasurement, config: VioConfig
+    vo: TagVO, frame: Frame, pose: PoseMeasurement, tagvo: TagvoConfig, vio: VioConfig
 ) -> None:
-    """Start a filter at rest and correct it both ways, late and in time; ask for its prior."""
-    both = config.model_copy(update={"update": "corners"})  # it takes poses as well
-    core = ErrorStateFilter(both, vo.camera, USUAL_NOISE, vo.tag_map, vo.config.floor)
+    """Fly a localizer at rest above the tags of a frame: both updates, one of them late."""
+    config = Config(
+        tagvo=tagvo.model_copy(update={"ambiguity": "prior"}),  # each frame asks the filter
+        vio=vio.model_copy(update={"update": "corners"}),  # it starts from poses as well
+    )
+    localizer = Localizer(vo.camera, vo.tag_map, config)
     force = pose.R_WC @ vo.camera.R_CI  # R_WI: at rest it carries the IMU along z of the map
-    accel = config.gravity_m_s2 * force[2]
-    shift = round(vo.camera.timeshift_s * 1e9)
+    accel = vio.gravity_m_s2 * force[2]
+    shift_ns = round(vo.camera.timeshift_s * 1e9) + _LATE_NS
     for i in range(_STEPS):
         t_ns = i * _IMU_STEP_NS
-        core.imu(ImuSample(t_ns, np.zeros(3), accel, t_ns))
-        if i and i % _POSE_EVERY == 0:
-            core.pose(replace(pose, t_ns=t_ns - shift - _IMU_STEP_NS))
-    late_ns = (_STEPS - 2 * _POSE_EVERY) * _IMU_STEP_NS - shift + _IMU_STEP_NS // 2  # in between
-    if trace.observations is not None:
-        core.corners(late_ns, trace.observations, pose)
-    prior = core.prior(late_ns)
-    if prior is not None:
-        asked = vo.config.model_copy(update={"ambiguity": "prior"})
-        TagVO(vo.camera, vo.tag_map, asked)(replace(frame, t_ns=late_ns), prior)
+        localizer.process(ImuSample(t_ns, np.zeros(3), accel, t_ns))
+        if i and i % _FRAME_EVERY == 0:
+            localizer.process(replace(frame, t_ns=t_ns - shift_ns, arrival_ns=t_ns))

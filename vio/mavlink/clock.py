@@ -56,11 +56,6 @@ class ClockTrack:
     doubted: tuple[tuple[int, int], ...] = ()
     epoch: int = 0
 
-    @property
-    def sigma_ns(self) -> float:
-        """Standard deviation of the offset at their_ns, apart from what both ways differ by."""
-        return float(np.sqrt(self.variance[0]))
-
 
 def to_ours(track: ClockTrack, their_ns: int) -> int:
     """A stamp of the other clock in ours."""

@@ -43,7 +43,7 @@ def inspected(
             "suspect_tags": _listed(tags, log),
             "interrupted": result.interrupted,
         },
-        diary=None if done.diary is None else done.diary.diary(),
+        filter_log=None if done.filter_log is None else done.filter_log.log(),
         sightings=seen, tags=tags,
         moments=() if done.book is None else tuple(_worst(judged, done.book, log)),
     )  # fmt: skip

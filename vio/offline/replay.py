@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from tagvo.pipeline import Trace
-    from vio.evaluate.filter_log import DiaryKeeper
+    from vio.evaluate.filter_log import FilterLogRecorder
     from vio.evaluate.tag_sightings import SightingBook
     from vio.setup_check.findings import Finding
     from vio.sinks.live_view import LiveView
@@ -54,7 +54,7 @@ class Replayed:
     setup: "list[Finding]"
     refused: bool = False
     book: "SightingBook | None" = None
-    diary: "DiaryKeeper | None" = None
+    filter_log: "FilterLogRecorder | None" = None
 
 
 def replay_log(
@@ -84,7 +84,7 @@ def replay_log(
         log.camera, log.tag_map, config, log.imu_noise, imu=vio_too is not None, lap=watch.lap
     )
     vio, warnings = None if vio_too is None else localizer, [] if vo_only else _imu_words(log)
-    book, diary, look = _inspectors(log, config, vio) if inspect else (None, None, _no_look)
+    book, filter_log, look = _inspectors(log, config, vio) if inspect else (None, None, _no_look)
     shown = _view(log, config, vio, view)
     fit = CornerFit()
     looks = _all(setup.look, fit.look, look, *([] if shown is None else [shown.look]))
@@ -111,7 +111,7 @@ def replay_log(
     said = [*log.warnings, *warnings, *stopped(log, result, early=ended)]
     refused = setup.certain and not force
     return Replayed(
-        log, config, result, watch.summary(), vio, said, setup.findings, refused, book, diary
+        log, config, result, watch.summary(), vio, said, setup.findings, refused, book, filter_log
     )
 
 
@@ -166,21 +166,21 @@ def _all(*looks: "Callable[[Trace], None]") -> "Callable[[Trace], None]":
 
 def _inspectors(
     log: FlightLog, config: Config, vio: Localizer | None
-) -> "tuple[SightingBook, DiaryKeeper | None, Callable[[Trace], None]]":
+) -> "tuple[SightingBook, FilterLogRecorder | None, Callable[[Trace], None]]":
     """What writes down the sightings and the filter's beliefs, and what shows both a frame."""
-    from vio.evaluate.filter_log import DiaryKeeper
+    from vio.evaluate.filter_log import FilterLogRecorder
     from vio.evaluate.tag_sightings import SightingBook
 
     book = SightingBook(config.tagvo.joint.reject_weight)
     core = None if vio is None else vio.filter
-    diary = None if core is None else DiaryKeeper(core, log.camera.R_CI.T)
+    filter_log = None if core is None else FilterLogRecorder(core, log.camera.R_CI.T)
 
     def look(trace: "Trace") -> None:
         book.note(trace)
-        if diary is not None:
-            diary.note(trace.t_ns)
+        if filter_log is not None:
+            filter_log.record(trace.t_ns)
 
-    return book, diary, look
+    return book, filter_log, look
 
 
 def _imu_words(log: FlightLog) -> list[str]:

@@ -9,7 +9,6 @@ COLUMNS = (
     "JBT", "ALL-notOR", "ALL-OR", "TBS-notOR", "TBS-OR", "TBS-OR-W1-CL2", "TBS-OR-W2-CL2",
     "TBS-OR-W1-QL2",
 )  # fmt: skip
-FILTERED = ("NEW+FIR", "joint", "VIO", "VIO corners")
 FEW = ("NEW", "joint", "VIO")
 CALIBRATED = tuple(
     f"calibration.{key}=0" for key in ("rotation_deg", "position_m", "focal_rel", "principal_px")

@@ -45,9 +45,9 @@ def axes_words(S: Array) -> str:
         return "y and z have the other sign (FRD where FLU is needed)"
     names = "xyz"
     parts = []
-    for i in range(3):
-        j = int(np.argmax(np.abs(S[i])))
-        if j != i or S[i, j] < 0.0:
-            sign = "-" if S[i, j] < 0.0 else ""
+    for i, row in enumerate(S):
+        j = int(np.argmax(np.abs(row)))
+        if j != i or row[j] < 0.0:
+            sign = "-" if row[j] < 0.0 else ""
             parts.append(f"{names[i]} is {sign}{names[j]} of what comes")
     return ", ".join(parts)

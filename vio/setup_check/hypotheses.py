@@ -29,6 +29,7 @@ _BIAS_RAD_S = 0.05  # prior of the gyro's bias
 _FREE_FALL = 1.0  # [m/s^2] a median force below it is no specific force
 _AXES_MORE = 1.5  # times the best chi-square that a change of axes may leave
 _HUBER = 2.0  # sigmas
+_REWEIGHTED = 6  # how often Huber's weights are taken anew
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,17 +80,12 @@ def attitudes(t_s: Array, gyro: Array) -> Array:
     half = 0.25 * np.diff(t_s)[:, None] * (gyro[1:] + gyro[:-1])
     q = np.zeros((len(t_s), 4))
     q[0, 0] = 1.0
-    q[1:] = _quat(2.0 * half)
+    q[1:] = geo.exp_quat(2.0 * half)
     step = 1
     while step < len(q):  # every product of 2, then 4, 8, ... neighbours
         q[step:] = geo.multiply_quat(q[:-step], q[step:])
         step *= 2
     return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
-
-
-def _quat(phi: Array) -> Array:
-    angle = np.linalg.norm(phi, axis=-1, keepdims=True)
-    return np.concatenate([np.cos(0.5 * angle), 0.5 * np.sinc(0.5 * angle / np.pi) * phi], axis=-1)
 
 
 def imu_turns(turns: Turns, offsets_s: Array) -> Array:
@@ -99,9 +95,9 @@ def imu_turns(turns: Turns, offsets_s: Array) -> Array:
     def at(t_s: Array) -> Array:
         row = np.clip(np.searchsorted(turns.t_s, t_s, side="right") - 1, 0, len(q) - 1)
         rest = np.clip(t_s - turns.t_s[row], 0.0, 0.05)
-        return geo.multiply_quat(q[row], _quat(rest[..., None] * turns.gyro[row]))
+        return geo.multiply_quat(q[row], geo.exp_quat(rest[..., None] * turns.gyro[row]))
 
-    first = at(turns.a_s + offsets_s[:, None]) * np.array([1.0, -1.0, -1.0, -1.0])
+    first = geo.conjugate_quat(at(turns.a_s + offsets_s[:, None]))
     return geo.log_quat(geo.multiply_quat(first, at(turns.b_s + offsets_s[:, None])))
 
 
@@ -112,7 +108,7 @@ def _fit(phi_C: Array, phi_I: Array, dt: Array, sigma: Array, det: float) -> _Fi
     bias = np.zeros((m, 3))
     Q = np.broadcast_to(np.eye(3), (m, 3, 3))
     left = phi_C - phi_I
-    for _ in range(6):
+    for _ in range(_REWEIGHTED):
         y = phi_C - dt[:, None] * bias[:, None]
         U, _, Vt = np.linalg.svd(np.einsum("mk,mki,mkj->mij", w, y, phi_I))
         flip = det * np.sign(np.linalg.det(U @ Vt))

@@ -86,7 +86,7 @@ def _forces(path: Path, rig: StatedRig) -> tuple[Array, Array, Array, Array]:
             continue
         rows = slice(lo - 1, hi + 1)
         t = np.clip(t_imu[rows], a, b)
-        back = q[lo - 1] * np.array([1.0, -1.0, -1.0, -1.0])
+        back = geo.conjugate_quat(q[lo - 1])
         R = R_WI[i] @ geo.matrix_from_quat(geo.multiply_quat(back[None], q[rows]))
         end = R_WI[i] @ rig.R_CI.T @ geo.exp(turns.phi_C[i]) @ rig.R_CI
         slip = geo.log(R[-1].T @ end)

@@ -1,7 +1,7 @@
 """The flight of the demo: over the arena's floor, its tags laid by hand, seen by a real lens."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,10 +15,9 @@ from tagvo.tags.tag_map import TagMap
 from vio.records import ImuNoise, ImuSample
 
 if TYPE_CHECKING:
-    from vio.sim.world.trajectory import Motion
+    from vio.sim.world.trajectory import Flight, Motion
 
 SEED = 12
-GRAVITY = 9.81
 LATENCY_S = 0.06  # from the middle of an exposure to a pose on a companion computer
 _T0_NS = 1_700_000_000_000_000_000
 _FRAME_HZ, _TRUTH_HZ = 15, 100
@@ -42,58 +41,22 @@ _WAYPOINTS = np.array(  # t [s], x, y, z [m], yaw [deg]: take-off, a square, fou
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Flight:
-    """The body of a multirotor along smooth waypoints; every callable takes t (...) [s].
-
-    p (..., 3) [m] of I in W, v (..., 3) [m/s], a (..., 3) [m/s^2], yaw (...) [rad].
-    """
-
-    p: Callable[[Array], Array]
-    v: Callable[[Array], Array]
-    a: Callable[[Array], Array]
-    yaw: Callable[[Array], Array]
-
-    def R_WI(self, t: Array) -> Array:
-        """Attitude: z along the thrust that the acceleration asks for, x along the yaw."""
-        thrust = self.a(t) + np.array([0.0, 0.0, GRAVITY])
-        z = thrust / np.linalg.norm(thrust, axis=-1, keepdims=True)
-        yaw = self.yaw(t)
-        heading = np.stack([np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)], axis=-1)
-        y = np.cross(z, heading)
-        y = y / np.linalg.norm(y, axis=-1, keepdims=True)
-        return np.stack([np.cross(y, z), y, z], axis=-1)
-
-    def motion(self, t: Array) -> "Motion":
-        """What the simulated IMU needs of it."""
-        from vio.sim.world.trajectory import Motion
-
-        return Motion(t, self.p(t), self.v(t), self.a(t), self.R_WI(t))
-
-    def camera(self, t: Array, camera: Camera) -> tuple[Array, Array]:
-        """R_WC (..., 3, 3), p_WC (..., 3) [m]."""
-        return geo.compose(self.R_WI(t), self.p(t), *geo.invert(camera.R_CI, camera.p_CI))
-
-
-def demo_flight() -> Flight:
+def demo_flight() -> "Flight":
     """The spline of fifth degree through the waypoints, at rest at both ends and beyond them."""
     from scipy.interpolate import make_interp_spline
+
+    from vio.sim.world.trajectory import along
 
     rest = [(1, np.zeros(4)), (2, np.zeros(4))]
     ends: Any = (rest, rest)
     t, values = _WAYPOINTS[:, 0], _WAYPOINTS[:, 1:] * [1.0, 1.0, 1.0, np.pi / 180.0]
-    path = make_interp_spline(t, values, k=5, bc_type=ends)
-    v, a = path.derivative(1), path.derivative(2)
+    moves = along(make_interp_spline(t, values, k=5, bc_type=ends))
+    return lambda t_s: replace(moves(np.clip(t_s, t[0], t[-1])), t_s=t_s)
 
-    def within(t: Array) -> Array:
-        return np.asarray(np.clip(t, *_WAYPOINTS[[0, -1], 0]))
 
-    return Flight(
-        lambda t: path(within(t))[..., :3],
-        lambda t: v(within(t))[..., :3],
-        lambda t: a(within(t))[..., :3],
-        lambda t: path(within(t))[..., 3],
-    )
+def camera_poses(motion: "Motion", camera: Camera) -> tuple[Array, Array]:
+    """R_WC (n, 3, 3), p_WC (n, 3) [m]."""
+    return geo.compose(motion.R_WI, motion.p_WI, *geo.invert(camera.R_CI, camera.p_CI))
 
 
 def demo_camera(camera: Camera) -> Camera:
@@ -118,7 +81,7 @@ def stamps(quick: bool) -> tuple[IntArray, IntArray]:
 
 
 def imu_samples(
-    flight: Flight, noise: ImuNoise, quick: bool, turn_on: tuple[float, float] = (0.01, 0.1)
+    flight: "Flight", noise: ImuNoise, quick: bool, turn_on: tuple[float, float] = (0.01, 0.1)
 ) -> Iterator[ImuSample]:
     """The IMU from 1 s before the first frame on; gravity is along -z of the map.
 
@@ -130,7 +93,7 @@ def imu_samples(
     start_s, end_s = seconds(frame_ns[[0, -1]]) - [_IMU_BEFORE_S, 0.0]
     rng = np.random.default_rng(_IMU_STREAM)
     track, _ = simulate_imu(
-        lambda t: flight.motion(t + start_s), end_s - start_s, noise, rng, turn_on=turn_on
+        lambda t: flight(t + start_s), end_s - start_s, noise, rng, turn_on=turn_on
     )
     offset = _T0_NS + round(start_s * 1e9)
     for i in range(len(track)):
@@ -139,7 +102,7 @@ def imu_samples(
 
 
 def frames(
-    flight: Flight, tag_map: TagMap, camera: Camera, t_ns: IntArray, workers: int
+    flight: "Flight", tag_map: TagMap, camera: Camera, t_ns: IntArray, workers: int
 ) -> Iterator[Frame]:
     """Rendered frames in order; the tags lie as the map's own sigmas allow, once for all."""
     from joblib import Parallel, delayed
@@ -151,11 +114,11 @@ def frames(
         yield Frame(t, image, arrival_ns=t + round(LATENCY_S * 1e9))
 
 
-def _shot(flight: Flight, floor: TagMap, camera: Camera, k: int, t_ns: int) -> Image:
+def _shot(flight: "Flight", floor: TagMap, camera: Camera, k: int, t_ns: int) -> Image:
     """One exposure along the flight."""
     middle = seconds(np.array(t_ns))
     t = middle + ((np.arange(_SUB_EXPOSURES) + 0.5) / _SUB_EXPOSURES - 0.5) * _EXPOSURE_S
     return render_view(
-        floor, camera, *flight.camera(t, camera), look=_LOOK, supersample=3,
+        floor, camera, *camera_poses(flight(t), camera), look=_LOOK, supersample=3,
         noise_sigma=_GREY_NOISE, rng=np.random.default_rng([SEED, k]),
     )  # fmt: skip

@@ -14,14 +14,14 @@ from tagvo.render.shutter import PoseAt
 from tagvo.tags.tag_map import TagMap, load_map
 from vio.records import ImuNoise, ImuTrack, Phase, Truth
 from vio.sim.scenario import Scenario, asset
-from vio.sim.sensors.camera import Exposures, exposures, said_camera
+from vio.sim.sensors.camera_stream import Exposures, exposures, said_camera
 from vio.sim.sensors.clocks import Clock
-from vio.sim.sensors.imu import Shaking, sampled, stated
+from vio.sim.sensors.imu_model import Shaking, sampled, stated
 from vio.sim.validity import check_flight
+from vio.sim.world.airframe import Vibration, hum, mount, vibration
 from vio.sim.world.course import Window, band_limited, shaken
 from vio.sim.world.dynamics import DOWN_W, BodyFlight, body_flight
 from vio.sim.world.flights import Plan, plan
-from vio.sim.world.vehicle import Vibration, hum, mount, vibration
 
 START_NS = 1_700_000_000_000_000_000  # what the IMU's clock shows when a simulated flight begins
 

@@ -13,7 +13,7 @@ from vio.errors import LogError, SimulationError
 from vio.records import Truth
 from vio.sim.recording import Recording, map_of, rig_of, said_of, scene_of, stream_of
 from vio.sim.scenario import Scenario
-from vio.sim.sensors.camera import Exposures, exposures
+from vio.sim.sensors.camera_stream import Exposures, exposures
 from vio.sim.sensors.clocks import Clock
 from vio.sim.validity import extent
 from vio.sim.world.truth_spline import TruthSpline, left_out, spline_of, velocity_misfit

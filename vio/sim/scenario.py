@@ -15,11 +15,11 @@ from vio.config.overrides import assign, origin
 from vio.config.shipped import config_names, config_path
 from vio.errors import VioError
 from vio.sim.model import Model
-from vio.sim.sensors.camera import CalibrationError, CameraStream
-from vio.sim.sensors.corners import SightingConfig
-from vio.sim.sensors.imu import ImuModel
+from vio.sim.sensors.camera_stream import CalibrationError, CameraStream
+from vio.sim.sensors.imu_model import ImuModel
+from vio.sim.sensors.perfect_detector import SightingConfig
+from vio.sim.world.airframe import Vehicle
 from vio.sim.world.flights import FlightConfig
-from vio.sim.world.vehicle import Vehicle
 
 _EXAMPLE = "vehicle=hr or stream.rate_hz=20"
 

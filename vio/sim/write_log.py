@@ -12,7 +12,7 @@ from tagvo.geometry import Array, IntArray
 from tagvo.records import Frame
 from vio.errors import SimulationError
 from vio.sim.recording import Recording
-from vio.sinks.log import LogWriter
+from vio.sinks.log_writer import LogWriter
 
 if TYPE_CHECKING:
     from collections.abc import Callable

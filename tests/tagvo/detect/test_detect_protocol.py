@@ -151,6 +151,19 @@ def test_corner_order_in_words():
         assert tr[1] < br[1] - 50
 
 
+@pytest.mark.parametrize("side", [25.0, 45.0])
+def test_asked_for_a_coarse_search_small_tags_are_dropped_for_their_corners(side):
+    """Only where the detector itself was not told how far to decimate; ArUco's takes no notice."""
+    rng = np.random.default_rng(2)
+    tag_map = board("tag36h11", side, 3, 2, rng)
+    image, _ = view(tag_map, rng)
+    library, told = AprilTagDetector(tag_map.family), AprilTagDetector(tag_map.family, 1.5)
+    assert len(library.detect(image)) == len(library.detect(image, 1.5)) == 6
+    assert len(library.detect(image, 3.0)) == (6 if side > 40.0 else 0)
+    assert len(told.detect(image, 3.0)) == 6
+    assert len(ArucoDetector(tag_map.family).detect(image, 3.0)) == 6
+
+
 def test_both_libraries_agree_on_36h11():
     rng = np.random.default_rng(2)
     tag_map = board("tag36h11", 45, 6, 4, rng)

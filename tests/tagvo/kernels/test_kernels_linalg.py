@@ -67,6 +67,14 @@ def test_products_are_numpys(seed):
     out = np.zeros((6, 7))
     linalg.add_product_t(A, C, out)
     assert_allclose(out, A @ C.T)
+    y = u.copy()
+    linalg.subtract_times(A, v, y)
+    assert_allclose(y, u - A @ v)
+    linalg.add_scaled(u, -0.7, y)
+    assert_allclose(y, 0.3 * u - A @ v)
+    linalg.scale(y, 2.0)
+    assert_allclose(y, 0.6 * u - 2.0 * A @ v)
+    assert linalg.dot(u, y) == pytest.approx(u @ y)
     assert linalg.square(v) == pytest.approx(v @ v)
     out = np.empty((4, 4))
     linalg.identity(out)
@@ -88,3 +96,22 @@ def test_products_that_skip_zeros_and_the_square_are_numpys(seed):
         out = P.copy()
         linalg.subtract_square(out, M)
         assert_allclose(out, P - M.T @ M, atol=1e-11)
+
+
+@given(seeds)
+def test_determinant_largest_eigenvalue_and_mean_with_the_transpose_are_numpys(seed):
+    A = np.random.default_rng(seed).normal(size=(3, 3))
+    assert linalg.determinant(A) == pytest.approx(np.linalg.det(A), abs=1e-12)
+    S = A.copy()
+    linalg.symmetrize(S)
+    assert_allclose(S, 0.5 * (A + A.T), atol=0)
+    assert linalg.largest_eigenvalue(S) == pytest.approx(np.linalg.eigvalsh(S)[-1], abs=1e-7)
+    assert linalg.largest_eigenvalue(2.0 * np.eye(3)) == 2.0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_one_element_that_is_no_number_is_found(bad):
+    A = np.full((2, 3), 1e300)
+    assert linalg.is_finite(A)
+    A[1, 2] = bad
+    assert not linalg.is_finite(A)

@@ -11,7 +11,7 @@ from simulated import DOWN, corners_seen, error_of, grid_map, pinhole, pose_abov
 from strategies import seeds
 
 from tagvo import geometry as geo
-from tagvo.config import FloorConfig, TagvoConfig
+from tagvo.config import IntrinsicsErrorConfig, TagvoConfig
 from tagvo.kernels.tag_residual import (
     accumulate,
     mean_covariance,
@@ -24,7 +24,7 @@ from tagvo.pose.observations import observe, tag_batch
 from tagvo.records import Detections
 
 CAMERA = pinhole()
-FLOOR = FloorConfig()
+FLOOR = IntrinsicsErrorConfig()
 
 
 def batch_at(seed, height=0.6, tilt_deg=15.0, n=2):
@@ -111,7 +111,7 @@ def test_accumulate_is_the_product():
     assert_allclose(H, J.T @ J)
 
 
-@pytest.mark.parametrize("floor", [FloorConfig(focal_rel=0.0, principal_px=0.0), FLOOR])
+@pytest.mark.parametrize("floor", [IntrinsicsErrorConfig(focal_rel=0.0, principal_px=0.0), FLOOR])
 @pytest.mark.parametrize("lever", [0.0, 0.25])
 def test_mean_covariance_is_that_of_the_means(floor, lever):
     """Actual means of per-tag poses, leaning enough that no tag flips, everything redrawn."""

@@ -159,7 +159,7 @@ def test_the_homography_has_the_centre_and_its_slope(seed, tilt):
     R_CT, p_CT, X = tag_view(np.random.default_rng(seed), tilt)
     corners_n, _, _ = unproject(CAMERA, seen(R_CT, p_CT, X)[0])
     x, J = np.empty(2), np.empty((2, 2))
-    homography_at_centre(corners_n, 0.1, x, J)
+    homography_at_centre(corners_n, 0.1, x, J, np.empty((3, 3)))
     assert_allclose(x, p_CT[:2] / p_CT[2], atol=1e-9)
 
     def image(d):

@@ -10,7 +10,7 @@ from simulated import arena, error_of, grid_map, nees, pinhole, pose_above, shot
 from strategies import seeds
 
 from tagvo import geometry as geo
-from tagvo.config import FloorConfig, JointConfig, TagvoConfig
+from tagvo.config import IntrinsicsErrorConfig, JointConfig, TagvoConfig
 from tagvo.pipeline import TagVO
 from tagvo.pose.joint import _misfit, solve_joint
 from tagvo.pose.observations import observe, tag_batch
@@ -18,7 +18,7 @@ from tagvo.records import Detections, Frame
 from tagvo.render.view import displaced
 
 CAMERA = pinhole()
-NO_FLOOR = FloorConfig(focal_rel=0.0, principal_px=0.0)
+NO_FLOOR = IntrinsicsErrorConfig(focal_rel=0.0, principal_px=0.0)
 STATED = JointConfig(laying_evidence=False)
 
 
@@ -141,7 +141,7 @@ def test_a_floor_laid_as_stated_is_believed():
 
 def test_covariance_is_that_of_the_estimates():
     rng = np.random.default_rng(5)
-    tag_map, floor = grid_map(3, 0.1, 0.16), FloorConfig()
+    tag_map, floor = grid_map(3, 0.1, 0.16), IntrinsicsErrorConfig()
     vo = TagVO(CAMERA, tag_map)
     values = []
     for _ in range(300):

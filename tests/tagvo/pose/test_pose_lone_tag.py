@@ -68,10 +68,10 @@ def test_a_tag_that_fits_keeps_its_covariance():
 
 
 def batch(tag_map, found):
-    from tagvo.config import FloorConfig
+    from tagvo.config import IntrinsicsErrorConfig
 
     obs, _ = observe(found, np.array([0]), CAMERA, SIGMA_PX)
-    return tag_batch(obs, tag_map, CAMERA, FloorConfig())
+    return tag_batch(obs, tag_map, CAMERA, IntrinsicsErrorConfig())
 
 
 def test_the_jacobian_is_that_of_the_residual():

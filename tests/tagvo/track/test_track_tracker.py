@@ -13,6 +13,7 @@ from tagvo.camera.model import project
 from tagvo.config import TrackConfig
 from tagvo.detect.protocol import no_detections
 from tagvo.errors import TagvoError
+from tagvo.kernels.projection import corner_covariance
 from tagvo.pipeline import TagVO
 from tagvo.records import Detections, Frame, PosePrior
 from tagvo.tags.bitmaps import tag_bitmap
@@ -22,7 +23,7 @@ from tagvo.track.pattern import PatternScratch, is_there
 from tagvo.track.policy import (
     admitted,
 )
-from tagvo.track.predict import corner_spread, laying_px, posterior, project_tag
+from tagvo.track.predict import laying_px, posterior, project_tag
 from tagvo.track.tag_model import (
     FLAT,
     Belief,
@@ -64,7 +65,7 @@ def test_predicted_spread_is_that_of_sampled_priors():
     P = 0.05 * A @ A.T
     i = int(corners_seen(MAP, CAMERA, R_WC, p_WC)[0][3])
     out = np.empty((4, 3))
-    corner_spread(projected(R_WC, p_WC, i)[2], P, out)
+    corner_covariance(projected(R_WC, p_WC, i)[2], P, out)
     xi = rng.multivariate_normal(np.zeros(6), P, 4000)
     R, p = R_WC @ geo.exp(xi[:, 3:]), p_WC + xi[:, :3]
     p_C = geo.transform(*(a[:, None] for a in geo.invert(R, p)), MAP.corners_W[i])

@@ -9,7 +9,8 @@ from tagvo import geometry as geo
 from vio.commands.demo import sentence
 from vio.config.shipped import config_path
 from vio.records import ImuNoise
-from vio.sim.demo import GRAVITY, demo_flight, imu_samples, seconds, stamps
+from vio.sim.demo import demo_flight, imu_samples, seconds, stamps
+from vio.sim.world.trajectory import GRAVITY
 
 
 def test_the_imu_is_that_of_the_rendered_flight():
@@ -21,24 +22,25 @@ def test_the_imu_is_that_of_the_rendered_flight():
     assert seconds(np.array(track[0].t_ns)) == t0
     assert track[-1].t_ns == frame_ns[-1]
     start = np.array([t0])
-    p, v, R = flight.p(start)[0], flight.v(start)[0], flight.R_WI(start)[0]
+    first = flight(start)
+    p, v, R = first.p_WI[0], first.v_WI[0], first.R_WI[0]
     for a, b in itertools.pairwise(track):
         dt = (b.t_ns - a.t_ns) * 1e-9
         turn = geo.exp(0.25 * dt * (a.gyro_I + b.gyro_I))
         force_W = R @ turn @ (0.5 * (a.accel_I + b.accel_I)) - [0.0, 0.0, GRAVITY]
         p, v, R = p + dt * v + 0.5 * dt**2 * force_W, v + dt * force_W, R @ turn @ turn
-    end = seconds(frame_ns[-1:])
-    assert_allclose(p, flight.p(end)[0], atol=1e-4)
-    assert_allclose(v, flight.v(end)[0], atol=1e-4)
-    assert np.degrees(geo.angle(R.T @ flight.R_WI(end)[0])) < 1e-3
+    end = flight(seconds(frame_ns[-1:]))
+    assert_allclose(p, end.p_WI[0], atol=1e-4)
+    assert_allclose(v, end.v_WI[0], atol=1e-4)
+    assert np.degrees(geo.angle(R.T @ end.R_WI[0])) < 1e-3
 
 
 def test_the_flight_begins_at_rest_on_the_ground():
     flight, (frame_ns, truth_ns) = demo_flight(), stamps(quick=False)
     rest = seconds(truth_ns)[seconds(truth_ns) < 0.0]
     assert len(rest) == 200
-    assert_allclose(flight.p(rest), flight.p(np.zeros(1)).repeat(200, axis=0), atol=1e-12)
-    assert_allclose(flight.v(rest), 0.0, atol=1e-9)
+    assert_allclose(flight(rest).p_WI, flight(np.zeros(1)).p_WI.repeat(200, axis=0), atol=1e-12)
+    assert_allclose(flight(rest).v_WI, 0.0, atol=1e-9)
     samples = imu_samples(flight, ImuNoise(0.0, 0.0, 0.0, 0.0, 200.0), False, turn_on=(0.0, 0.0))
     first = next(iter(samples))
     assert first.t_ns == frame_ns[0] - 10**9
@@ -49,18 +51,18 @@ def test_the_flight_begins_at_rest_on_the_ground():
 def test_the_flight_is_smooth_and_gentle():
     flight, (frame_ns, truth_ns) = demo_flight(), stamps(quick=False)
     t = seconds(truth_ns)
-    assert_allclose(np.gradient(flight.p(t), t, axis=0)[1:-1], flight.v(t)[1:-1], atol=2e-3)
-    assert_allclose(np.gradient(flight.v(t), t, axis=0)[1:-1], flight.a(t)[1:-1], atol=5e-3)
-    assert_allclose(flight.v(t[[0, -1]]), 0.0, atol=1e-9)
-    assert_allclose(flight.a(t[[0, -1]]), 0.0, atol=1e-9)
-    R = flight.R_WI(t)
+    p, v, a, R = (getattr(flight(t), name) for name in ("p_WI", "v_WI", "a_WI", "R_WI"))
+    assert_allclose(np.gradient(p, t, axis=0)[1:-1], v[1:-1], atol=2e-3)
+    assert_allclose(np.gradient(v, t, axis=0)[1:-1], a[1:-1], atol=5e-3)
+    assert_allclose(v[[0, -1]], 0.0, atol=1e-9)
+    assert_allclose(a[[0, -1]], 0.0, atol=1e-9)
     assert_allclose(R @ np.swapaxes(R, -1, -2), np.broadcast_to(np.eye(3), R.shape), atol=1e-12)
     tilt = np.degrees(np.arccos(R[:, 2, 2]))
     assert 1.0 < tilt.max() < 12.0
-    force_I = np.einsum("nji,nj->ni", R, flight.a(t) + np.array([0.0, 0.0, GRAVITY]))
+    force_I = np.einsum("nji,nj->ni", R, a + np.array([0.0, 0.0, GRAVITY]))
     assert_allclose(force_I[:, :2], 0.0, atol=1e-9)  # rotors push along z of the body alone
-    assert 0.2 < flight.p(t)[:, 2].min() < 0.4
-    assert 1.6 < flight.p(t)[:, 2].max() < 2.2
+    assert 0.2 < p[:, 2].min() < 0.4
+    assert 1.6 < p[:, 2].max() < 2.2
     assert np.degrees(geo.angle(np.swapaxes(R[:-1], -1, -2) @ R[1:])).max() < 1.0
     assert (frame_ns[0], frame_ns[-1]) == (truth_ns[0], truth_ns[-1])
 

@@ -29,7 +29,7 @@ from vio.errors import LogError
 from vio.mavlink.persistent_state import Saved, load_saved
 from vio.records import ImuTrack
 from vio.setup_check.unmapped_tags import UnmappedTags
-from vio.sinks.log import LogWriter
+from vio.sinks.log_writer import LogWriter
 from vio.sources.flight_log.files import read_imu
 from vio.sources.flight_log.log import FlightLog
 from vio.sources.flight_log.tally import Tally

@@ -15,7 +15,6 @@ from tagvo.detect.protocol import no_detections
 from tagvo.records import Detections, Frame
 from vio.config.daemon import RecordConfig
 from vio.config.filter import VioConfig
-from vio.daemon.clock import FlightClock
 from vio.daemon.detection_threads import Detection
 from vio.daemon.ground_detector import GroundJudge
 from vio.daemon.latency_meter import Meter
@@ -23,12 +22,13 @@ from vio.daemon.preflight import _names
 from vio.daemon.recorder import Recorder
 from vio.daemon.status import Rates, Status
 from vio.daemon.systemd import Systemd
+from vio.daemon.time_base import FlightClock
 from vio.filter.health import Health, State
 from vio.mavlink.messages import Outgoing
 from vio.records import Ground, ImuSample, Moment, NavState
-from vio.sinks.log import LogWriter
+from vio.sinks.log_writer import LogWriter
 from vio.sources.flight_log.log import FlightLog
-from vio.sources.live.camera import Latest
+from vio.sources.live.live_camera import Latest
 
 MS = 1_000_000
 

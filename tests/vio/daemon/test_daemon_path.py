@@ -11,10 +11,10 @@ from simulated import grid_map
 from tagvo.records import Frame
 from vio.config import Config
 from vio.config.mavlink import MavlinkConfig
-from vio.daemon.clock import FlightClock
 from vio.daemon.preflight import Parts
 from vio.daemon.publisher import Publisher
 from vio.daemon.setup_guard import SetupGuard
+from vio.daemon.time_base import FlightClock
 from vio.filter.health import State
 from vio.mavlink.codec import MESSAGE_IDS, Codec
 from vio.mavlink.protocol import Companion

@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import ardupilotmega as m
 
 from vio.doctor.checks import check
 from vio.doctor.collect import Examiner
-from vio.doctor.hand_test_data import FC, SENT, Walk
+from vio.doctor.hand_test_samples import FC, SENT, HandTestSamples
 
 S = 1_000_000_000
 
@@ -184,12 +184,12 @@ def test_an_autopilot_that_falls_silent_ends_it():
     assert found["silent"].severity == "error"
 
 
-def test_a_walk_with_the_estimate_and_the_poses_sent():
+def test_a_hand_test_with_the_estimate_and_the_poses_sent():
     """The in-test PX4 flies on nothing here: its estimate is told by hand; poses have yaw wrong."""
     world = Clinic(Px4)
     world.run(3.0)
-    walk = Walk(world.companion.vehicle)
-    assert len(walk.questions(1)) == 2
+    samples = HandTestSamples(world.companion.vehicle)
+    assert len(samples.questions(1)) == 2
     heading, p, t = np.radians(60.0), np.array([0.0, 0.0, -0.1]), 0
     fc = m.MAVLink(None, srcSystem=1, srcComponent=1)
     other = m.MAVLink(None, srcSystem=1, srcComponent=197)
@@ -206,8 +206,8 @@ def test_a_walk_with_the_estimate_and_the_poses_sent():
             )
             for mav, message in said:
                 for decoded in world.codec.decode(bytes(message.pack(mav))):
-                    walk.heard(decoded, t)
-        walk.rested(since)
+                    samples.heard(decoded, t)
+        samples.rested(since)
 
     settle()
     p = p + np.array([0, 0, -0.4])
@@ -218,8 +218,8 @@ def test_a_walk_with_the_estimate_and_the_poses_sent():
         heading += turn
         if turn:
             settle()
-    assert set(walk.rests) == {FC, SENT}
-    (only,) = walk.judge()
+    assert set(samples.rests) == {FC, SENT}
+    (only,) = samples.judge()
     assert only.code == "axis_yaw"
     assert only.what.startswith(SENT)
 

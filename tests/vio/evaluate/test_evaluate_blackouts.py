@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from vio.evaluate.filter_log import Diary
+from vio.evaluate.filter_log import FilterLog
 from vio.evaluate.report import plots, sections
 
 
@@ -34,8 +34,8 @@ def test_both_rows_keep_the_blackouts_and_the_resets():
     assert plots.add_blackouts(fig, [(1_000_000_000, 2_000_000_000)] * 3, 0)
     n, belief = 4, (np.zeros((4, 3)), np.ones((4, 3)))
     t_ns = np.arange(n, dtype=np.int64) * 1_000_000_000
-    diary = Diary(t_ns, belief, belief, belief, belief, np.ones(n), np.array([0, 0, 1, 1]))
-    assert plots.add_resets(fig, diary, 0)
+    filter_log = FilterLog(t_ns, belief, belief, belief, belief, np.ones(n), np.array([0, 0, 1, 1]))
+    assert plots.add_resets(fig, filter_log, 0)
     at = [(s.type, s.x0, s.x1, s.xref, s.yref) for s in fig.layout.shapes]
     assert at == [
         *[("rect", 1.0, 2.0, "x", "y domain")] * 3,

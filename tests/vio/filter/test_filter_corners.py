@@ -1,13 +1,15 @@
 """The corner update against second ways: a camera model, finite differences, dense stacking."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from test_filter_propagation import BIASED, FULL, PLAIN, a_state, minus, retract
 from test_filter_update import W, predicted, spread_of
 
 from tagvo import geometry as geo
-from tagvo.config import FloorConfig
+from tagvo.config import IntrinsicsErrorConfig
 from tagvo.kernels.tag_residual import residual_covariance, tag_rows
 from tagvo.records import Observations
 from tagvo.tags.tag_map import map_from_dict
@@ -17,7 +19,7 @@ from vio.filter.measurements import corners, kinds
 from vio.filter.measurements.camera import camera_jacobian
 
 F, CENTRE, SIGMA = 500.0, np.array([320.0, 240.0]), 0.4
-FLOOR = FloorConfig(focal_rel=0.002, principal_px=0.3)
+FLOOR = IntrinsicsErrorConfig(focal_rel=0.002, principal_px=0.3)
 TRUST = Trust(1.0, 0.0, 0.0, 1.0)
 
 
@@ -68,6 +70,14 @@ def rows_of(x, tags, i):
     assert tag_rows(R_WC, p_WC, tags, i, rows, L, np.empty((16, 3)))
     residual_covariance(L, tags.laying[i], tags.sigma_px[i], S)
     return rows[:, 0], rows[:, 1:], np.tril(S) + np.tril(S, -1).T
+
+
+def test_the_row_bears_the_camera_s_index():
+    x, tag_map, _ = scene(0)
+    obs = seen(x, tag_map)
+    row = packed(replace(obs, camera=3), tag_map)
+    assert (row[kinds.KIND], row[kinds.COUNT], row[kinds.CAMERA]) == (kinds.CORNERS, len(obs), 3)
+    assert_array_equal(row[kinds.HEAD :], packed(obs, tag_map)[kinds.HEAD :])
 
 
 def test_residual_and_its_jacobian():

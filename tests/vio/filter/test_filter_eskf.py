@@ -1,12 +1,14 @@
 """The estimator as a whole: order of arrival, lateness, consistency, start, prior, determinism."""
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
 from flights import CAMERA, CLEAN, edit_poses, events, feed, fly, replay, rms
 from numpy.testing import assert_allclose
 from oracles.suspect_study import flight
+from study_flights import PoseNoise
 
 from tagvo import geometry as geo
 from vio.config.filter import PriorConfig, VioConfig
@@ -14,11 +16,11 @@ from vio.filter import state as at
 from vio.filter.eskf import ErrorStateFilter
 from vio.filter.health import State
 from vio.filter.history import _mean_rate, _rate_span
-from vio.filter.measurements import constraints, pose
+from vio.filter.measurements import constraints, kinds, pose
 from vio.frames import level_frame
 from vio.localize.localizer import Localizer
 from vio.records import ImuSample
-from vio.sim.sensors.pose_noise import PoseNoise, wrong_rig
+from vio.sim.sensors.camera_stream import wrong_rig
 from vio.sim.sensors.simple_imu import PIXHAWK
 
 
@@ -63,21 +65,25 @@ def test_a_frame_repeated_before_the_start_does_not_crowd_the_others_out():
     assert many.counters["duplicate"] == 39 * sum(not isinstance(w, ImuSample) for w in whats)
 
 
-def test_of_one_stamp_kinds_lie_in_their_own_order_and_none_twice():
-    """A pose and a rest at one nanosecond: refused a second time, whichever came first."""
+def test_of_one_stamp_kinds_and_cameras_lie_in_their_own_order_and_none_twice():
+    """Two cameras' poses and a rest at one nanosecond: each refused a second time."""
     whats = events(fly("T3", 3, seconds=4.0))
     last = next(w for w in reversed(whats) if not isinstance(w, ImuSample))
     done = []
-    for pose_first in (True, False):
+    moved = replace(last, p_WC=last.p_WC + 1e-3, camera=1)
+    rows = [pose.pack(last), pose.pack(moved), constraints.still(0.5)]
+    for order in permutations(range(3)):
         estimator, _ = run([w for w in whats if w is not last])
         history = estimator._history
-        rows = [pose.pack(last), constraints.still(0.5)]
-        for row in rows if pose_first else rows[::-1]:
-            assert history.insert(last.t_ns, row) == ""
+        for k in order:
+            assert history.insert(last.t_ns, rows[k]) == ""
         for row in rows:
             assert history.insert(last.t_ns, row) == "duplicate"
+        same = history.rows.stamp[: history.count] == last.t_ns
+        placed = history.rows.z[: history.count][same][:, [kinds.KIND, kinds.CAMERA]]
+        assert placed.tolist() == [[kinds.STILL, 0], [kinds.POSE, 0], [kinds.POSE, 1]]
         done.append(estimator.state())
-    assert np.array_equal(*done)
+    assert all(np.array_equal(done[0], other) for other in done[1:])
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flights import edit_imu, fly, replay, states_between
+from study_flights import PoseNoise
 
 from vio.filter.imu_noise import NoiseMeter
 from vio.filter.preprocessing import ImuIntake
 from vio.records import ImuSample
-from vio.sim.sensors.pose_noise import PoseNoise
 
 NOISY = PoseNoise(white=(0.02, 0.6), slow=(0.01, 0.3), outliers=0.0, dropouts=0, stamp_s=0.0)
 STEP_NS = 5_000_000

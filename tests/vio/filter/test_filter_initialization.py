@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from flights import CAMERA, CLEAN, edit_imu, edit_poses, fly, replay, states_between
 from simulated import arena
+from study_flights import PoseNoise, hover
 
 from tagvo import geometry as geo
 from tagvo.tags.tag_map import Gravity
@@ -14,8 +15,6 @@ from vio.filter import state as at
 from vio.filter.health import Health, Signs, State, judge
 from vio.filter.initialization import CalibrationBounds, Rig, moves, trend
 from vio.filter.relocalization import LostWatch
-from vio.sim.sensors.pose_noise import PoseNoise
-from vio.sim.world.trajectory import hover
 
 SHARP = PoseNoise(
     white=(0.002, 0.1), slow=(0.001, 0.05), outliers=0.0, dropouts=0, stamp_s=0.0, rate_hz=30.0

@@ -83,7 +83,7 @@ def test_time_offset_column_is_the_motion_of_the_camera():
 
 def test_pivot_rows_are_the_derivative_of_the_residual():
     x, rng = a_state(9)
-    z = pose.pack(measured(x, rng, exact=True))[2:]
+    z = pose.pack(measured(x, rng, exact=True))[kinds.HEAD :]
     _, y, R = residual(x, z)
     H = np.empty((6, 30))
     camera_jacobian(x, W, H, FULL)
@@ -118,7 +118,7 @@ def test_correction_equals_joseph_form_and_filterpy(layout, seed, share):
     x, rng = a_state(seed)
     n, first = layout.n, layout.pose_bias
     P = spread_of(rng, n)
-    z = pose.pack(measured(x, rng))[2:]
+    z = pose.pack(measured(x, rng))[kinds.HEAD :]
     r, y, R_WC = residual(x, z)
     H = np.empty((6, n))
     camera_jacobian(x, W, H, layout)
@@ -194,7 +194,7 @@ def test_gate_takes_position_and_rotation_apart(shift, turn, verdict):
         1e-4 * np.eye(6), (0,),
     )  # fmt: skip
     before, P_before = x.copy(), P.copy()
-    came, nis = pose.update(x, P, W, pose.pack(m)[2:], TRUST, np.empty(6), PLAIN)
+    came, nis = pose.update(x, P, W, pose.pack(m)[kinds.HEAD :], TRUST, np.empty(6), PLAIN)
     assert came == verdict
     assert (nis > 22.0) == (verdict != kinds.ACCEPTED)
     if verdict == kinds.REJECTED:
@@ -205,7 +205,7 @@ def test_gate_takes_position_and_rotation_apart(shift, turn, verdict):
 def test_singular_or_broken_covariance_changes_nothing():
     x, _ = a_state(4)
     P, before = 1e-4 * np.eye(21), x.copy()
-    z = pose.pack(measured(x, np.random.default_rng(0)))[2:]
+    z = pose.pack(measured(x, np.random.default_rng(0)))[kinds.HEAD :]
     for broken in (np.zeros((6, 6)), np.full((6, 6), np.nan), -np.eye(6)):
         pose.unpack(z).cov[:] = broken
         verdict, _ = pose.update(x, P, W, z, TRUST, np.empty(6), PLAIN)

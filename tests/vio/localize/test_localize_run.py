@@ -178,7 +178,7 @@ def test_after_the_warm_up_a_run_compiles_nothing(tmp_path):
     here = Path(__file__).parent
     code = f"""
 import sys
-sys.path[:0] = {[str(here), str(here.parent), str(here.parents[1])]!r}
+sys.path[:0] = {[str(p) for p in (here, here.parent, here.parents[1], here.parents[2] / "tools")]!r}
 import vio.offline.replay as replay
 from cli_calls import tagvio
 from test_localize_run import compiled_signatures

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from flights import CAMERA, CLEAN, fly, rms
 from simulated import grid_map, pinhole, pose_above, shot
+from study_flights import PoseNoise
 
 from tagvo import geometry as geo
 from tagvo.config import TagvoConfig
@@ -15,7 +16,6 @@ from vio.config import Config
 from vio.localize.baselines import VoKf
 from vio.localize.localizer import Localizer
 from vio.records import ImuSample
-from vio.sim.sensors.pose_noise import PoseNoise
 from vio.sim.sensors.simple_imu import PIXHAWK
 
 

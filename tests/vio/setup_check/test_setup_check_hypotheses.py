@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from flights import CAMERA, fly
 from simulated import arena
+from study_flights import PoseNoise
 
 from tagvo import geometry as geo
 from vio.setup_check.findings import axes_words
@@ -20,7 +21,6 @@ from vio.setup_check.hypotheses import (
     imu_turns,
 )
 from vio.setup_check.watch import check_sizes, pitch_ratio
-from vio.sim.sensors.pose_noise import PoseNoise
 from vio.sources.imu_check import check_stamps
 
 VO = PoseNoise(white=(0.004, 0.15), slow=(0.0, 0.0), outliers=0.02, dropouts=0, stamp_s=0.0)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flights import CAMERA, fly
+from study_flights import PoseNoise
 
 from tagvo import geometry as geo
 from vio.setup_check.hypotheses import StatedRig, Turns
@@ -15,7 +16,6 @@ from vio.setup_check.metric_scale import (
     doubled,
     estimate_scale,
 )
-from vio.sim.sensors.pose_noise import PoseNoise
 
 RIG = StatedRig(CAMERA.R_CI, 0.0, None)
 

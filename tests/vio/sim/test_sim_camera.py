@@ -7,13 +7,13 @@ from simulated import arena, corners_seen, grid_map, pinhole, pose_above
 
 from tagvo import geometry as geo
 from tagvo.camera.model import project
-from vio.sim.sensors.camera import CalibrationError, CameraStream, exposures, said_camera
+from vio.sim.sensors.camera_stream import CalibrationError, CameraStream, exposures, said_camera
 from vio.sim.sensors.clocks import Clock
-from vio.sim.sensors.corners import SightingConfig, sighted
+from vio.sim.sensors.perfect_detector import SightingConfig, sighted
 from vio.sim.world import course as crs
+from vio.sim.world.airframe import Vehicle, mount
 from vio.sim.world.dynamics import body_flight
 from vio.sim.world.trajectory import t3_command
-from vio.sim.world.vehicle import Vehicle, mount
 
 CLOCK = Clock(1_700_000_000_000_000_000)
 EXACT = SightingConfig(sigma_px=0.0, least_side_px=0.0)

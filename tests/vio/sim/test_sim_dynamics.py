@@ -6,11 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from strategies import seeds
+from study_flights import t1, t3
 
 from tagvo import geometry as geo
 from vio.sim.world import course as crs
 from vio.sim.world.dynamics import DOWN_W, body_flight, inertial, tilt
-from vio.sim.world.trajectory import GRAVITY, t1, t1_command, t2_command, t3, t3_command
+from vio.sim.world.trajectory import GRAVITY, t1_command, t2_command, t3_command
 
 H = 1e-4  # [s] of central differences
 

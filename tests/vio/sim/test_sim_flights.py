@@ -13,10 +13,10 @@ from vio.config.shipped import config_path
 from vio.errors import SimulationError
 from vio.sim.scenario import load_scenario
 from vio.sim.validity import check_flight, extent
+from vio.sim.world.airframe import Vehicle, mount
 from vio.sim.world.dynamics import DOWN_W, body_flight
 from vio.sim.world.flights import FlightConfig, plan
 from vio.sim.world.trajectory import t3_waypoints
-from vio.sim.world.vehicle import Vehicle, mount
 
 MAP = arena()
 QR = Vehicle(name="QR", camera_p_I=(0.10, 0.0, -0.05))

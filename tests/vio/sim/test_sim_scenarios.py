@@ -19,13 +19,12 @@ from flights import (
     without,
 )
 from numpy.testing import assert_allclose
+from study_flights import PoseNoise, circle
 
 from tagvo import geometry as geo
 from vio.config.filter import VioConfig
 from vio.filter.eskf import ErrorStateFilter
-from vio.sim.sensors.pose_noise import PoseNoise
 from vio.sim.sensors.simple_imu import PIXHAWK
-from vio.sim.world.trajectory import circle
 
 NOISY = PoseNoise(white=(0.02, 0.6), slow=(0.01, 0.3), outliers=0.0, dropouts=0, stamp_s=0.0)
 

@@ -14,7 +14,7 @@ from tagvo import geometry as geo
 from tagvo.records import Detections, Frame
 from vio.errors import LogError
 from vio.records import ImuNoise, ImuSample, Phase
-from vio.sinks.log import LogWriter
+from vio.sinks.log_writer import LogWriter
 from vio.sources.flight_log.log import FlightLog
 
 T0 = 1_403_638_519_492_829_441  # odd: a float cannot hold it

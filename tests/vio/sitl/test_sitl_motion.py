@@ -5,13 +5,13 @@ import json
 import numpy as np
 import pytest
 from scipy.integrate import quad
+from study_flights import t3
 
 from tagvo import geometry as geo
 from vio.evaluate.truth import clean_truth
 from vio.frames import FLIP
 from vio.records import ImuTrack, Truth
 from vio.sim.sensors.simple_imu import true_rates
-from vio.sim.world.trajectory import t3
 from vio.sitl.ardupilot import state_line
 from vio.sitl.estimate import Said, Sent, fc_trajectory
 from vio.sitl.motion import ImuMeans, Motion, placed

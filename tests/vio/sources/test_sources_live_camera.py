@@ -12,9 +12,9 @@ from tagvo.records import Frame
 from vio.config.daemon import CameraConfig
 from vio.errors import CameraLost, SourceError
 from vio.sources.live import grab
-from vio.sources.live.camera import Latest, LiveCamera
 from vio.sources.live.events import LiveEvents
 from vio.sources.live.grab import Files, PiCamera, V4l2, folder_images, middle_ns, open_camera
+from vio.sources.live.live_camera import Latest, LiveCamera
 
 SIZE = (64, 48)
 IMAGE = np.full((48, 64, 3), 90, np.uint8)

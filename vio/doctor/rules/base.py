@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from vio.doctor.records import Change, Facts, Finding, Severity
 
 _NEAR = 1e-6
+_COAST_QUALITY = 30.0  # that ODOMETRY says while coasting
 
 
 def _always(facts: Facts) -> bool:
@@ -52,6 +53,11 @@ def one_of(*values: float) -> Callable[[float, Facts], bool]:
 def bits(mask: int) -> Callable[[float, Facts], bool]:
     """Right where all these bits are set."""
     return lambda value, facts: int(value) & mask == mask
+
+
+def lets_coasting_pass(value: float, facts: Facts) -> bool:
+    """Right up to the quality that our message has while coasting; the other messages have none."""
+    return value <= (_COAST_QUALITY if facts.message == "ODOMETRY" else 0.0)
 
 
 def check(rules: Iterable[ParamRule], facts: Facts) -> list[Finding]:

@@ -1,7 +1,7 @@
 """Rules on the autopilot's ports: protocol, mode and baud rate of the one that we are on."""
 
 from vio.doctor.records import Change, Facts, Finding, Severity
-from vio.doctor.rules import ardupilot, px4
+from vio.doctor.rules import ardupilot_parameters, px4_parameters
 from vio.mavlink.endpoint import needed_baud, parse_url
 from vio.mavlink.messages import ARDUPILOT
 
@@ -21,9 +21,9 @@ def _ardupilot(f: Facts, baud: int) -> list[Finding]:
     p = f.params
     here = [
         n
-        for n in ardupilot.PORTS
+        for n in ardupilot_parameters.PORTS
         if p.get(f"SERIAL{n}_PROTOCOL") in _MAVLINK
-        and ardupilot.baud(p.get(f"SERIAL{n}_BAUD", 0.0)) == baud
+        and ardupilot_parameters.baud(p.get(f"SERIAL{n}_BAUD", 0.0)) == baud
     ]
     out = []
     if here and all(p[f"SERIAL{n}_PROTOCOL"] == 1 for n in here):
@@ -45,8 +45,8 @@ def _ardupilot(f: Facts, baud: int) -> list[Finding]:
 def _px4(f: Facts, baud: int) -> list[Finding]:
     p = f.params
     out = []
-    for n in px4.INSTANCES:
-        device = px4.DEVICES.get(round(p.get(f"MAV_{n}_CONFIG", 0.0)))
+    for n in px4_parameters.INSTANCES:
+        device = px4_parameters.DEVICES.get(round(p.get(f"MAV_{n}_CONFIG", 0.0)))
         if device is None or p.get(device) != baud:
             continue
         needed = needed_baud(f.config) / 10.0

@@ -8,7 +8,7 @@ import numpy as np
 from tagvo.geometry import Array, IntArray
 from tagvo.tags.tag_map import TagMap
 from vio.evaluate.compare import Judged
-from vio.evaluate.filter_log import Diary
+from vio.evaluate.filter_log import FilterLog
 from vio.evaluate.moved_tags import Judgement
 from vio.evaluate.records import Errors
 from vio.evaluate.report.polylines import band, in_time, path_in_time, tag_outlines, thin
@@ -81,7 +81,7 @@ def axis_figure(errors: Errors, name: str, part: int, t_zero_ns: int) -> Any:
     factor, unit = _UNITS[part]
     values = (errors.p_W, errors.rotation_I)[part] * factor
     fig = _rows(tuple(f"{axis} {unit}" for axis in (_XYZ, _RXYZ)[part]), height=460)
-    for k in range(3):
+    for k in range(values.shape[1]):
         first = {"showlegend": k == 0}
         t_s, y = thin(*in_time(errors.t_ns, values[:, k], t_zero_ns))
         line = {"color": color(name), "width": 1.5}
@@ -163,12 +163,12 @@ def belief_figure(
     return fig
 
 
-def nis_figure(diary: Diary, t_zero_ns: int) -> Any:
+def nis_figure(filter_log: FilterLog, t_zero_ns: int) -> Any:
     """NIS of each frame's pose per degree of freedom, with the two-sided 95 % of chi-square."""
     import plotly.graph_objects as go
     from scipy.stats import chi2
 
-    t_s, y = thin(*in_time(diary.t_ns, diary.nis, t_zero_ns))
+    t_s, y = thin(*in_time(filter_log.t_ns, filter_log.nis, t_zero_ns))
     fig = go.Figure(_curve(t_s, y, line={"color": color("vio"), "width": 1}, showlegend=False))
     for bound in chi2.ppf([0.025, 0.975], 6) / 6.0:
         fig.add_hline(y=float(bound), line={"color": GREY, "dash": "dash", "width": 1})
@@ -186,9 +186,9 @@ def add_blackouts(fig: Any, stretches: Sequence[tuple[int, int]], t_zero_ns: int
     return bool(stretches)
 
 
-def add_resets(fig: Any, diary: Diary, t_zero_ns: int) -> bool:
+def add_resets(fig: Any, filter_log: FilterLog, t_zero_ns: int) -> bool:
     """Mark where the filter began anew; whether it did."""
-    moments = diary.t_ns[1:][np.diff(diary.resets) > 0].tolist()
+    moments = filter_log.t_ns[1:][np.diff(filter_log.resets) > 0].tolist()
     line = {"color": SUSPECT_COLOR, "width": 1.5, "dash": "dashdot"}
     style = {"type": "line", "y0": 0.0, "y1": 1.0, "line": line}
     at = [_seconds((t, t), t_zero_ns) for t in moments]

@@ -12,7 +12,7 @@ from tagvo.tags.tag_map import TagMap
 from tagvo.textfile import write_atomic
 from vio.evaluate.align import Z_AXIS
 from vio.evaluate.compare import COLUMNS, Judged, judge, rows
-from vio.evaluate.filter_log import Diary
+from vio.evaluate.filter_log import FilterLog
 from vio.evaluate.moved_tags import Judgement
 from vio.evaluate.records import Trajectory, TruthLike, Window
 from vio.evaluate.report import plots, sections
@@ -32,8 +32,8 @@ class Extra:
     window and axis_W: as given to `comparison`; t_zero_ns: where the time axis starts (None: at
     truth's first row); tags_t_ns, tags_count (m,): tags used in each frame; notes: lines of text;
     judged: the trajectories' errors, where they are known already; evaluation: of `breakdown`;
-    diary: what the filter believed; sightings, tags: what was seen of the map, and where its tags
-    were found; moments: the worst, with their images.
+    filter_log: what the filter believed; sightings, tags: what was seen of the map, and where its
+    tags were found; moments: the worst, with their images.
     """
 
     title: str = "tagvio compare"
@@ -45,7 +45,7 @@ class Extra:
     notes: tuple[str, ...] = ()
     judged: tuple[Judged, ...] = ()
     evaluation: Mapping[str, Any] = field(default_factory=dict)
-    diary: Diary | None = None
+    filter_log: FilterLog | None = None
     sightings: Sightings | None = None
     tags: Judgement | None = None
     moments: tuple[Picture, ...] = ()
@@ -127,7 +127,7 @@ def _errors(m: Material) -> dict[str, Any] | None:
     if x.tags_t_ns is not None and x.tags_count is not None:
         spans = sections.blackouts(x.tags_t_ns, x.tags_count)
         dark = plots.add_blackouts(fig, spans, m.t_zero_ns)
-    resets = x.diary is not None and plots.add_resets(fig, x.diary, m.t_zero_ns)
+    resets = x.filter_log is not None and plots.add_resets(fig, x.filter_log, m.t_zero_ns)
     return {"drawn": figure(fig, "errors"), "blackouts": dark, "resets": resets}
 
 
@@ -149,14 +149,14 @@ def _axes(m: Material) -> list[dict[str, Any]]:
 
 def _beliefs(m: Material) -> dict[str, str] | None:
     """What the filter came to believe of its biases and its rig, and its innovations."""
-    diary = m.extra.diary
-    if diary is None or len(diary) < 2:
+    log = m.extra.filter_log
+    if log is None or len(log) < 2:
         return None
     drawn = {
-        name: figure(plots.belief_figure(diary.t_ns, *belief, unit, m.t_zero_ns), f"belief-{name}")
-        for name, belief, unit in sections.beliefs(diary)
+        name: figure(plots.belief_figure(log.t_ns, *belief, unit, m.t_zero_ns), f"belief-{name}")
+        for name, belief, unit in sections.beliefs(log)
     }
-    return drawn | {"nis": figure(plots.nis_figure(diary, m.t_zero_ns), "nis")}
+    return drawn | {"nis": figure(plots.nis_figure(log, m.t_zero_ns), "nis")}
 
 
 def _tags(m: Material) -> dict[str, Any] | None:

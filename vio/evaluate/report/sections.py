@@ -8,7 +8,7 @@ import numpy as np
 
 from tagvo.geometry import Array, IntArray
 from tagvo.tags.tag_map import TagMap
-from vio.evaluate.filter_log import Diary
+from vio.evaluate.filter_log import FilterLog
 from vio.evaluate.moved_tags import Judgement
 from vio.evaluate.report.verdict import label
 from vio.evaluate.tag_sightings import Sightings
@@ -155,13 +155,13 @@ def blackouts(t_ns: IntArray, count: IntArray) -> list[tuple[int, int]]:
     return [(int(used[k]), int(used[k + 1])) for k in gaps]
 
 
-def beliefs(diary: Diary) -> Iterator[tuple[str, tuple[Array, Array], tuple[float, str]]]:
-    """What a diary holds to draw: name, values and sigmas, factor and unit."""
+def beliefs(filter_log: FilterLog) -> Iterator[tuple[str, tuple[Array, Array], tuple[float, str]]]:
+    """What a filter log holds to draw: name, values and sigmas, factor and unit."""
     deg = 180.0 / np.pi
-    yield "gyro", diary.gyro_bias, (deg, "deg/s")
-    yield "accel", diary.accel_bias, (1.0, "m/s²")
-    yield "camera", diary.camera_rotation, (deg, "deg")
-    yield "offset", diary.time_offset, (1e3, "ms")
+    yield "gyro", filter_log.gyro_bias, (deg, "deg/s")
+    yield "accel", filter_log.accel_bias, (1.0, "m/s²")
+    yield "camera", filter_log.camera_rotation, (deg, "deg")
+    yield "offset", filter_log.time_offset, (1e3, "ms")
 
 
 def _pair(figures: Mapping[str, Any] | None) -> str:

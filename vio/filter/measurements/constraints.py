@@ -23,22 +23,22 @@ NUMBERS = 5  # the longest payload: a quaternion and a variance
 
 def still(sigma_m_s: float) -> Array:
     """Row of a velocity of zero; sigma of each axis."""
-    return np.array([kinds.STILL, 1.0, sigma_m_s**2])
+    return np.array([kinds.STILL, 1.0, 0.0, sigma_m_s**2])
 
 
 def rotation(q_IC: Array, sigma_rad: float) -> Array:
     """Row of the extrinsic rotation as calibrated, wxyz (4,); sigma of each axis."""
-    return np.concatenate([[kinds.ROTATION, 1.0], q_IC, [sigma_rad**2]])
+    return np.concatenate([[kinds.ROTATION, 1.0, 0.0], q_IC, [sigma_rad**2]])
 
 
 def clock(offset_s: float, sigma_s: float) -> Array:
     """Row of the time offset as calibrated."""
-    return np.array([kinds.CLOCK, 1.0, offset_s, sigma_s**2])
+    return np.array([kinds.CLOCK, 1.0, 0.0, offset_s, sigma_s**2])
 
 
 def opened(variance: float, first: int, count: int) -> Array:
     """Row that adds a variance to `count` errors from `first` on."""
-    return np.array([kinds.OPEN, 1.0, variance, first, count])
+    return np.array([kinds.OPEN, 1.0, 0.0, variance, first, count])
 
 
 @njit

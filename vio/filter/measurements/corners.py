@@ -9,7 +9,7 @@ Derivation: docs/filter/measurements.md; against all corners stacked: test_filte
 
 import numpy as np
 
-from tagvo.config import FloorConfig
+from tagvo.config import IntrinsicsErrorConfig
 from tagvo.geometry import Array
 from tagvo.kernels.jit import njit
 from tagvo.kernels.linalg import (
@@ -44,7 +44,11 @@ NUMBERS = int(sum(np.prod(shape) for shape in _SHAPES))  # a tag
 
 
 def pack(
-    seen: Observations, tag_map: TagMap, centre_px: Array, floor: FloorConfig, max_tags: int
+    seen: Observations,
+    tag_map: TagMap,
+    centre_px: Array,
+    floor: IntrinsicsErrorConfig,
+    max_tags: int,
 ) -> Array | None:
     """The tags of a frame as a row of the history: at most max_tags, the largest first.
 
@@ -69,7 +73,7 @@ def pack(
     keep = keep[np.argsort(-area, kind="stable")[:max_tags]]
     if not len(keep):
         return None
-    head = np.array([kinds.CORNERS, float(len(keep))])
+    head = np.array([kinds.CORNERS, float(len(keep)), float(seen.camera)])
     return np.concatenate([head, *(a[keep].ravel() for a in tags)])
 
 
@@ -173,7 +177,7 @@ def update(
     w (3,) gyro then; the pose bias has the share of positions: corners do not tell them apart;
     y_white (6,) receives the innovation, bias and all, whitened by its own noise.
     """
-    n, share, tags = P.shape[0], trust.slow_position, unpack(z[kinds.HEAD :], int(z[1]))
+    n, share, tags = P.shape[0], trust.slow_position, unpack(z[kinds.HEAD :], int(z[kinds.COUNT]))
     H, M, P_xi = np.empty((6, n)), np.empty((6, n)), np.empty((6, 6))
     A, b, X = np.empty((6, 6)), np.empty(6), np.empty((6, SYSTEMATIC))
     camera_jacobian(x, w, H, layout)

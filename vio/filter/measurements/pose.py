@@ -117,7 +117,7 @@ def _fill(R_WC: Array, p_WC: Array, cov: Array, z: Array) -> None:
 def pack(measured: PoseMeasurement) -> Array:
     """The measurement as a row of the history."""
     row = np.empty(kinds.HEAD + NUMBERS)
-    row[0], row[1] = kinds.POSE, 1.0
+    row[: kinds.HEAD] = kinds.POSE, 1.0, measured.camera
     R, p, cov = (np.ascontiguousarray(a) for a in (measured.R_WC, measured.p_WC, measured.cov))
     _fill(R, p, cov, row[kinds.HEAD :])
     return row

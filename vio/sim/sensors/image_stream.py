@@ -9,7 +9,7 @@ import numpy as np
 from tagvo.records import Frame
 from vio.sim.recording import Recording, stream_of
 from vio.sim.scenario import Scenario
-from vio.sim.sensors.corners import sighted
+from vio.sim.sensors.perfect_detector import sighted
 
 
 def frames(

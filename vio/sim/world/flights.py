@@ -13,9 +13,9 @@ from tagvo.tags.tag_map import TagMap
 from vio.errors import SimulationError
 from vio.sim.model import Model
 from vio.sim.world import course as crs
+from vio.sim.world.airframe import Vehicle
 from vio.sim.world.course import Course, Window
 from vio.sim.world.trajectory import Command, t1_command, t2_command, t3_command
-from vio.sim.world.vehicle import Vehicle
 
 Name = Literal["T1", "T2", "T3", "static", "shuttle", "waypoints"]
 Waypoint = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]

@@ -10,11 +10,11 @@ from scipy.ndimage import gaussian_filter1d
 from tagvo.geometry import Array
 
 GRAVITY = 9.81
-_KNOTS_HZ = 20.0
-_SMOOTH_S = 0.25  # commanded corners are rounded by a Gaussian of this width
+KNOTS_HZ = 20.0
+SMOOTH_S = 0.25  # commanded corners are rounded by a Gaussian of this width
 _T3_SEED = 3
 _T3_WAYPOINTS, _T3_TURN_RAD = 24, np.radians(40.0)
-_T3_SECONDS = 40.0  # the paper's T3 takes 35-45 s
+T3_SECONDS = 40.0  # the paper's T3 takes 35-45 s
 _HOVER_S = 2.0  # at rest at either end
 
 
@@ -35,19 +35,18 @@ Command = tuple[Array, Array, Array]  # times (k,) [s], points (k, 3) [m], yaw (
 
 def smoothed(t_s: Array, p_W: Array, yaw: Array) -> BSpline:
     """Spline of fifth degree in time through a command whose corners are rounded: x y z yaw."""
-    grid = np.arange(t_s[0] - 2.0, t_s[-1] + 2.0, 1.0 / _KNOTS_HZ)
+    grid = np.arange(t_s[0] - 2.0, t_s[-1] + 2.0, 1.0 / KNOTS_HZ)
     command = np.column_stack([np.interp(grid, t_s, c) for c in (*p_W.T, yaw)])
-    smooth = gaussian_filter1d(command, _SMOOTH_S * _KNOTS_HZ, axis=0, mode="nearest")
+    smooth = gaussian_filter1d(command, SMOOTH_S * KNOTS_HZ, axis=0, mode="nearest")
     return make_interp_spline(grid, smooth, k=5)
 
 
-def flight(t_s: Array, p_W: Array, yaw: Array, R_WL: Array | None = None) -> Flight:
-    """A vehicle that follows commanded points (k, 3) and yaw (k,) [rad] at times (k,), smoothed.
+def along(spline: BSpline, R_WL: Array | None = None) -> Flight:
+    """A vehicle that follows a spline of x, y, z [m] and yaw [rad].
 
     It tilts as a multirotor must: its z along the specific force. R_WL (3, 3): a level frame in the
     map, whose z is up; None: the map's z is up (points and yaw are then those of the map).
     """
-    spline = smoothed(t_s, p_W, yaw)
     first, second = spline.derivative(1), spline.derivative(2)
     turn = np.eye(3) if R_WL is None else R_WL
 
@@ -75,24 +74,12 @@ def t1_command() -> Command:
     return np.array(t), points, np.full(len(t), np.radians(30.0))
 
 
-def t1(R_WL: Array | None = None) -> tuple[Flight, float]:
-    """The flight of `t1_command` and its duration [s]."""
-    command = t1_command()
-    return flight(*command, R_WL), float(command[0][-1])
-
-
 def t2_command(place: tuple[float, float] = (1.5, 2.5)) -> Command:
     """Steps of 0.3 m up and down over one place x, y [m], 4 s each."""
     heights = [0.7, 1.0, 1.3, 1.6, 1.3, 1.0, 0.7]
     t = np.repeat(np.arange(len(heights)) * 4.0, 2) + np.tile([0.0, 3.4], len(heights))
     points = np.column_stack([np.full((len(t), 2), place), np.repeat(heights, 2)])
     return t, points, np.full(len(t), np.radians(30.0))
-
-
-def t2(R_WL: Array | None = None) -> tuple[Flight, float]:
-    """The flight of `t2_command` and its duration [s]."""
-    command = t2_command()
-    return flight(*command, R_WL), float(command[0][-1])
 
 
 def t3_waypoints() -> Array:
@@ -115,54 +102,10 @@ def t3_command() -> Command:
     """
     waypoints = t3_waypoints()
     legs = np.maximum(np.linalg.norm(np.diff(waypoints[:, :3], axis=0), axis=1), 1.0)
-    end = _T3_SECONDS - _HOVER_S
+    end = T3_SECONDS - _HOVER_S
     knots = np.concatenate([[0.0], np.cumsum(legs)])
     t_knots = _HOVER_S + knots / knots[-1] * (end - _HOVER_S)
     curve = make_interp_spline(t_knots, waypoints, k=3, bc_type="clamped")
-    t = np.arange(0.0, _T3_SECONDS, 1.0 / _KNOTS_HZ)
+    t = np.arange(0.0, T3_SECONDS, 1.0 / KNOTS_HZ)
     command = curve(np.clip(t, _HOVER_S, end))
     return t, command[:, :3], command[:, 3]
-
-
-def t3(R_WL: Array | None = None) -> tuple[Flight, float]:
-    """The flight of `t3_command` and its duration [s]."""
-    return flight(*t3_command(), R_WL), _T3_SECONDS
-
-
-def circle(speed_m_s: float, rng: np.random.Generator) -> tuple[Flight, float]:
-    """In full flight from the first moment: a circle of 0.7-1.4 m at this speed, turning, 10 s.
-
-    The height swings by 0.2 m; the heading turns by up to 0.6 rad/s, whichever way.
-    """
-    radius, phase = rng.uniform(0.7, 1.4), rng.uniform(0.0, 2.0 * np.pi)
-    side, spin = rng.choice([-1.0, 1.0]), rng.uniform(-0.6, 0.6)
-    rate = speed_m_s / radius
-    t = np.arange(-5.0, 15.0, 1.0 / _KNOTS_HZ)
-    angle = side * rate * t + phase
-    wide = radius * np.exp(0.5 * (rate * _SMOOTH_S) ** 2)  # what the smoothing will take off
-    height = 1.2 + 0.2 * np.sin(0.8 * t + phase)
-    points = np.column_stack([1.5 + wide * np.cos(angle), 2.5 + wide * np.sin(angle), height])
-    return flight(t, points, phase + spin * t), 10.0
-
-
-def hover(
-    speed_m_s: float, yaw_rad_s: float, rng: np.random.Generator, duration_s: float = 14.0
-) -> tuple[Flight, float]:
-    """Hovering that is none: it drifts at this speed some way and yaws at this rate, steadily.
-
-    To the IMU alone it looks like rest with a gyro bias.
-    """
-    way, phase, lean = rng.uniform(0.0, 2.0 * np.pi, 3)
-    t = np.arange(-5.0, duration_s + 5.0, 1.0 / _KNOTS_HZ)
-    ahead = speed_m_s * t
-    points = np.column_stack(
-        [
-            1.5 + np.cos(way) * ahead,
-            2.5 + np.sin(way) * ahead,
-            1.2 + 0.1 * np.sin(lean) * ahead,
-        ]
-    )
-    return flight(t, points, phase + yaw_rad_s * t), duration_s
-
-
-FLIGHTS = {"T1": t1, "T2": t2, "T3": t3}

@@ -21,7 +21,7 @@ from vio.sources.flight_log.files import (
     read_phases,
     read_truth,
 )
-from vio.sources.flight_log.frames import FrameSource, open_frames
+from vio.sources.flight_log.log_frames import FrameSource, open_frames
 from vio.sources.flight_log.options import LogOptions, only_tags_of
 from vio.sources.flight_log.tally import Tally
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from vio.config.daemon import CameraConfig
 from vio.errors import CameraLost, SourceError
-from vio.sources.flight_log.frames import read_image
+from vio.sources.flight_log.log_frames import read_image
 
 Image = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
 _OLDEST_NS = 1_000_000_000  # an image that waited longer is not worth looking at

@@ -15,7 +15,7 @@ FC, SENT = "the autopilot's estimate", "the poses sent"
 _KEEP = 2000
 
 
-class Walk:
+class HandTestSamples:
     """Rests of every source at every step so far; `judge` says what is wrong."""
 
     def __init__(self, vehicle: Vehicle) -> None:

@@ -51,8 +51,8 @@ class LiveCamera:
     """Grabs in a thread of its own; a camera that goes is opened anew, for ever, with back-off.
 
     counters: frames, camera_lost, camera_returned, camera_stamp_guessed, camera_backward;
-    present: whether the camera gives frames; newest_ns: arrival of the last one; ended: the files
-    that stand for a camera are at their end.
+    present: whether the camera gives frames; ended: the files that stand for a camera are at their
+    end.
     """
 
     def __init__(
@@ -66,7 +66,6 @@ class LiveCamera:
         self._grabber: Grabber | None = None
         self.counters: Counter[str] = Counter()
         self.present, self.ended = True, threading.Event()
-        self.newest_ns: int | None = None
         self._before_ns: int | None = None
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._live, name="camera", daemon=True)
@@ -120,7 +119,7 @@ class LiveCamera:
         if self._before_ns is not None and shot.t_ns <= self._before_ns:
             self.counters["camera_backward"] += 1
             return
-        self._before_ns, self.newest_ns = shot.t_ns, arrival
+        self._before_ns = shot.t_ns
         image = gray_image(shot.image)
         self._hand_on(Frame(shot.t_ns, image, arrival_ns=arrival, received_ns=arrival))
 

@@ -2,11 +2,10 @@
 
 from vio.doctor.parameter_sets import shipped
 from vio.doctor.records import Facts, Severity
-from vio.doctor.rules.base import ParamRule, at_most, bits, one_of
+from vio.doctor.rules.base import ParamRule, at_most, bits, lets_coasting_pass, one_of
 from vio.mavlink.messages import PX4
 
 E, W, I = Severity.ERROR, Severity.WARNING, Severity.INFO  # noqa: E741
-_COAST_QUALITY = 30.0
 _OLD_MASK = 24  # EKF2_AID_MASK before 1.14: position and yaw by vision
 
 
@@ -16,10 +15,6 @@ def _modern(facts: Facts) -> bool:
 
 def _old(facts: Facts) -> bool:
     return "EKF2_AID_MASK" in facts.params
-
-
-def _quality(value: float, facts: Facts) -> bool:
-    return value <= (_COAST_QUALITY if facts.message == "ODOMETRY" else 0.0)
 
 
 def _range_seen(facts: Facts) -> bool:
@@ -53,7 +48,7 @@ def _fusion() -> list[ParamRule]:
         _rule("EKF2_HGT_REF", W, "height is referred to another sensor than vision: it snaps when"
               " one of the two is lost", when=_modern),
         _rule("EKF2_EV_QMIN", E, "VISION_POSITION_ESTIMATE has no quality, so it is never fused and"
-              " arming is denied; ODOMETRY says 30 while it coasts", right=_quality),
+              " arming is denied; ODOMETRY says 30 while it coasts", right=lets_coasting_pass),
     ]  # fmt: skip
 
 

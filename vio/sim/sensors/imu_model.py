@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 import numpy as np
 from pydantic import Field, NonNegativeFloat, PositiveFloat, model_validator
-from scipy.signal import butter, group_delay, lfilter, lfilter_zi
+from scipy.signal import butter, lfilter, lfilter_zi
 
 from tagvo import geometry as geo
 from tagvo.geometry import Array
@@ -142,12 +142,6 @@ def low_passed(x: Array, low_pass: LowPass, rate_hz: float) -> Array:
     b, a = butter(low_pass.order, low_pass.cutoff_hz, fs=rate_hz)
     first = lfilter_zi(b, a)[:, None] * x[:1]
     return np.asarray(lfilter(b, a, x, axis=0, zi=first)[0])
-
-
-def lag_s(low_pass: LowPass, rate_hz: float) -> float:
-    """The filter's group delay at rest [s]: how late its output is for slow motion."""
-    b, a = butter(low_pass.order, low_pass.cutoff_hz, fs=rate_hz)
-    return float(group_delay((b, a), w=[low_pass.cutoff_hz * 1e-3], fs=rate_hz)[1][0] / rate_hz)
 
 
 def saturated(x: Array, largest: float) -> Array:

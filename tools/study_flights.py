@@ -1,4 +1,4 @@
-"""Simulated camera poses with all that goes wrong with real ones, without drawing an image."""
+"""Flights and noisy poses without scenario or image, for studies and for tests of the filter."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,79 @@ from tagvo import geometry as geo
 from tagvo.camera.model import Camera
 from tagvo.geometry import Array, BoolArray, IntArray
 from tagvo.records import PoseMeasurement
-from vio.sim.world.trajectory import Flight
+from vio.sim.sensors.camera_stream import visible
+from vio.sim.world.trajectory import (
+    KNOTS_HZ,
+    SMOOTH_S,
+    T3_SECONDS,
+    Flight,
+    along,
+    smoothed,
+    t1_command,
+    t2_command,
+    t3_command,
+)
+
+
+def flight(t_s: Array, p_W: Array, yaw: Array, R_WL: Array | None = None) -> Flight:
+    """A vehicle that follows commanded points (k, 3) and yaw (k,) [rad] at times (k,), smoothed."""
+    return along(smoothed(t_s, p_W, yaw), R_WL)
+
+
+def t1(R_WL: Array | None = None) -> tuple[Flight, float]:
+    """The flight of `t1_command` and its duration [s]."""
+    command = t1_command()
+    return flight(*command, R_WL), float(command[0][-1])
+
+
+def t2(R_WL: Array | None = None) -> tuple[Flight, float]:
+    """The flight of `t2_command` and its duration [s]."""
+    command = t2_command()
+    return flight(*command, R_WL), float(command[0][-1])
+
+
+def t3(R_WL: Array | None = None) -> tuple[Flight, float]:
+    """The flight of `t3_command` and its duration [s]."""
+    return flight(*t3_command(), R_WL), T3_SECONDS
+
+
+def circle(speed_m_s: float, rng: np.random.Generator) -> tuple[Flight, float]:
+    """In full flight from the first moment: a circle of 0.7-1.4 m at this speed, turning, 10 s.
+
+    The height swings by 0.2 m; the heading turns by up to 0.6 rad/s, whichever way.
+    """
+    radius, phase = rng.uniform(0.7, 1.4), rng.uniform(0.0, 2.0 * np.pi)
+    side, spin = rng.choice([-1.0, 1.0]), rng.uniform(-0.6, 0.6)
+    rate = speed_m_s / radius
+    t = np.arange(-5.0, 15.0, 1.0 / KNOTS_HZ)
+    angle = side * rate * t + phase
+    wide = radius * np.exp(0.5 * (rate * SMOOTH_S) ** 2)  # what the smoothing will take off
+    height = 1.2 + 0.2 * np.sin(0.8 * t + phase)
+    points = np.column_stack([1.5 + wide * np.cos(angle), 2.5 + wide * np.sin(angle), height])
+    return flight(t, points, phase + spin * t), 10.0
+
+
+def hover(
+    speed_m_s: float, yaw_rad_s: float, rng: np.random.Generator, duration_s: float = 14.0
+) -> tuple[Flight, float]:
+    """Hovering that is none: it drifts at this speed some way and yaws at this rate, steadily.
+
+    To the IMU alone it looks like rest with a gyro bias.
+    """
+    way, phase, lean = rng.uniform(0.0, 2.0 * np.pi, 3)
+    t = np.arange(-5.0, duration_s + 5.0, 1.0 / KNOTS_HZ)
+    ahead = speed_m_s * t
+    points = np.column_stack(
+        [
+            1.5 + np.cos(way) * ahead,
+            2.5 + np.sin(way) * ahead,
+            1.2 + 0.1 * np.sin(lean) * ahead,
+        ]
+    )
+    return flight(t, points, phase + yaw_rad_s * t), duration_s
+
+
+FLIGHTS = {"T1": t1, "T2": t2, "T3": t3}
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,17 +109,6 @@ class PoseStream:
     poses: list[PoseMeasurement]
     arrival_ns: IntArray
     outlier: BoolArray
-
-
-def wrong_rig(camera: Camera, deg: float, metres: float, rng: np.random.Generator) -> Camera:
-    """The camera's calibration file with an extrinsic rotation and lever arm this far off."""
-    turn = geo.exp(np.radians(deg) * _unit(rng))
-    R_IC, p_IC = geo.invert(camera.R_CI, camera.p_CI)
-    R_CI, p_CI = geo.invert(R_IC @ turn, p_IC + metres * _unit(rng))
-    return Camera(
-        camera.model, camera.intrinsics, camera.coeffs, camera.resolution, R_CI, p_CI,
-        camera.timeshift_s, camera.source,
-    )  # fmt: skip
 
 
 def simulate_poses(
@@ -80,31 +141,9 @@ def simulate_poses(
     return PoseStream([poses[i] for i in seen], arrival[seen], outlier[seen])
 
 
-def _unit(rng: np.random.Generator) -> Array:
-    v = rng.normal(size=3)
-    return np.asarray(v / np.linalg.norm(v))
-
-
 def _gauss_markov(n: int, keep: float, rng: np.random.Generator) -> Array:
     """Unit variance, correlation `keep` a step; (n, 6)."""
     out = rng.normal(size=(n, 6))
     for i in range(1, n):
         out[i] = keep * out[i - 1] + np.sqrt(1.0 - keep * keep) * out[i]
     return out
-
-
-def visible(
-    t: Array,
-    duration_s: float,
-    dropouts: int,
-    rng: np.random.Generator,
-    *,
-    length_s: tuple[float, float] = (0.5, 3.0),
-    after_s: float = 5.0,
-) -> BoolArray:
-    """False inside dropouts that last length_s [s], none of which begins in the first after_s."""
-    seen = np.ones(len(t), dtype=bool)
-    for _ in range(dropouts):
-        start = rng.uniform(after_s, max(duration_s - length_s[1], after_s + 0.1))
-        seen &= ~((t >= start) & (t < start + rng.uniform(*length_s)))
-    return seen

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import Field, FiniteFloat, NonNegativeFloat, PositiveFloat
 
+from tagvo import geometry as geo
 from tagvo.camera.model import Camera
-from tagvo.geometry import Array, IntArray
+from tagvo.geometry import Array, BoolArray, IntArray
 from vio.sim.model import Model, Range
 from vio.sim.sensors.clocks import Clock, delays, jittered, kept
-from vio.sim.sensors.pose_noise import visible, wrong_rig
 
 
 class CameraStream(Model):
@@ -121,3 +121,36 @@ def said_camera(
     intrinsics = np.concatenate([true.intrinsics[:2] * focal, true.intrinsics[2:] + principal])
     shift = stream.timeshift_s - error.timeshift_s
     return replace(said, intrinsics=intrinsics, timeshift_s=shift)
+
+
+def wrong_rig(camera: Camera, deg: float, metres: float, rng: np.random.Generator) -> Camera:
+    """The camera's calibration file with an extrinsic rotation and lever arm this far off."""
+    turn = geo.exp(np.radians(deg) * _unit(rng))
+    R_IC, p_IC = geo.invert(camera.R_CI, camera.p_CI)
+    R_CI, p_CI = geo.invert(R_IC @ turn, p_IC + metres * _unit(rng))
+    return Camera(
+        camera.model, camera.intrinsics, camera.coeffs, camera.resolution, R_CI, p_CI,
+        camera.timeshift_s, camera.source,
+    )  # fmt: skip
+
+
+def _unit(rng: np.random.Generator) -> Array:
+    v = rng.normal(size=3)
+    return np.asarray(v / np.linalg.norm(v))
+
+
+def visible(
+    t: Array,
+    duration_s: float,
+    dropouts: int,
+    rng: np.random.Generator,
+    *,
+    length_s: tuple[float, float] = (0.5, 3.0),
+    after_s: float = 5.0,
+) -> BoolArray:
+    """False inside dropouts that last length_s [s], none of which begins in the first after_s."""
+    seen = np.ones(len(t), dtype=bool)
+    for _ in range(dropouts):
+        start = rng.uniform(after_s, max(duration_s - length_s[1], after_s + 0.1))
+        seen &= ~((t >= start) & (t < start + rng.uniform(*length_s)))
+    return seen

@@ -2,12 +2,11 @@
 
 from vio.doctor.parameter_sets import shipped
 from vio.doctor.records import Facts, Severity
-from vio.doctor.rules.base import ParamRule, at_least, at_most, one_of
+from vio.doctor.rules.base import ParamRule, at_least, at_most, lets_coasting_pass, one_of
 from vio.mavlink.messages import ARDUPILOT
 
 E, W, I = Severity.ERROR, Severity.WARNING, Severity.INFO  # noqa: E741
 LAG_HZ = 80.0  # low-passes from which on the IMU lags by 3 ms; 11.5 ms at the default of 20 Hz
-_COAST_QUALITY = 30.0  # that ODOMETRY says while coasting
 _HIDDEN = "restart the flight controller: VISO_ and EK3_ parameters show once their switch is on"
 
 
@@ -25,10 +24,6 @@ def _imu(facts: Facts) -> bool:
 
 def _velocity(value: float, facts: Facts) -> bool:
     return (value == 6.0) <= facts.velocity  # 6 only where velocity is sent
-
-
-def _quality(value: float, facts: Facts) -> bool:
-    return value <= (_COAST_QUALITY if facts.message == "ODOMETRY" else 0.0)
 
 
 def rules() -> list[ParamRule]:
@@ -76,7 +71,7 @@ def _vision() -> list[ParamRule]:
         _rule("VISO_YAW_M_NSE", W, floor, when=_viso,
               right=at_most(shipped(ARDUPILOT)["VISO_YAW_M_NSE"])),
         _rule("VISO_QUAL_MIN", E, "VISION_POSITION_ESTIMATE has no quality, so all of it is"
-              " dropped; ODOMETRY says 30 while it coasts", when=_viso, right=_quality),
+              " dropped; ODOMETRY says 30 while it coasts", when=_viso, right=lets_coasting_pass),
         *(_rule(f"VISO_POS_{axis}", W, twice, when=_viso) for axis in "XYZ"),
         ParamRule(("VISO_SCALE",), E, "positions are multiplied by it", 1.0, when=_viso),
     ]  # fmt: skip
