@@ -4,7 +4,6 @@ import ast
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -51,24 +50,29 @@ def dotted(path: Path) -> str:
 
 
 @cache
+def modules() -> dict[Path, house.Module]:
+    return {module.path: module for module in house.modules(ROOT)}
+
+
 def tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+    return modules()[path].tree
 
 
-def imports(path: Path, top_only: bool = False) -> Iterator[str]:
+def imports(path: Path, top_only: bool = False) -> tuple[str, ...]:
     """Every module that a file imports, at its top or (unless top_only) within its functions."""
-    nodes = tree(path).body if top_only else ast.walk(tree(path))
-    for node in nodes:
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+    return house.imported(modules()[path], at_top=top_only)
 
 
 def unit(module: str) -> str:
     """The folder or root module that a name belongs to: tagvo.detect.codes -> tagvo.detect."""
     return ".".join(module.split(".")[:2])
+
+
+def test_no_import_is_relative():
+    found = [(dotted(p), n) for p in FILES for n in house.nodes(tree(p))
+             if isinstance(n, ast.ImportFrom)]  # fmt: skip
+    assert len(found) > 1000
+    assert [f"{name} line {n.lineno}" for name, n in found if n.level != 0] == []
 
 
 def test_imports_run_one_way():
@@ -192,7 +196,7 @@ def test_only_the_stopwatch_and_live_sources_read_a_clock():
     allowed = ("vio.localize.stopwatch", "vio.sources.live", "vio.mavlink.", "vio.daemon.")
     wrong = []
     for path in FILES:
-        for node in ast.walk(tree(path)):
+        for node in house.nodes(tree(path)):
             named = isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
             if named and node.value.id in ("time", "datetime", "date") and node.attr in CLOCKS:
                 wrong.append(dotted(path))
@@ -205,7 +209,7 @@ def test_nothing_prints():
     calls = [
         f"{dotted(p)} line {n.lineno}"
         for p in FILES
-        for n in ast.walk(tree(p))
+        for n in house.nodes(tree(p))
         if isinstance(n, ast.Call) and isinstance(n.func, ast.Name) and n.func.id == "print"
     ]
     assert calls == []
@@ -216,7 +220,7 @@ def test_files_and_functions_stay_short():
     long_functions = [
         f"{dotted(p)}.{n.name}: {n.end_lineno - n.lineno + 1} lines"
         for p in FILES
-        for n in ast.walk(tree(p))
+        for n in house.nodes(tree(p))
         if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)
         and n.end_lineno - n.lineno + 1 > MAX_FUNCTION
     ]
@@ -263,7 +267,7 @@ def test_type_checkers_see_the_same_surface(package):
     """The names under TYPE_CHECKING come from the modules that `_HOME` loads them from."""
     seen = {
         alias.asname: node.module
-        for node in ast.walk(tree(ROOT / package / "__init__.py"))
+        for node in house.nodes(tree(ROOT / package / "__init__.py"))
         if isinstance(node, ast.ImportFrom) and node.module.startswith(f"{package}.")
         for alias in node.names
     }

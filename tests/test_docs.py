@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import architecture_picture as picture
+import house
 import pytest
 import write_docs
 from doc_pages import PAGES, ROOT, text_of
@@ -96,10 +97,10 @@ def test_names_of_rotations_and_places_use_the_glossarys_frames():
     known, seen, wrong = {name[0] for name in FRAMES}, set(), []
     inner = [(row[0], row[2].strip("`")) for row in rows_of(DOCS / "glossary.md", "Frames", 1)]
     local = {(letter, place) for cell, place in inner for letter in re.findall(r"`(\w)`", cell)}
-    for path in MODULES:
-        here = str(path.relative_to(ROOT))
+    for module in house.modules(ROOT):
+        here = str(module.path.relative_to(ROOT))
         allowed = known | {letter for letter, place in local if here.startswith(place)}
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in house.nodes(module.tree):
             name = node.id if isinstance(node, ast.Name) else getattr(node, "arg", None)
             found = FRAME_NAME.fullmatch(name) if isinstance(name, str) else None
             if found:

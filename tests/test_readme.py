@@ -1,16 +1,18 @@
 """README and docs tell the truth: their commands run, their options exist, their Python works.
 
 The demo's log is made once a run, whoever needs it first; each section's commands are a test of
-their own, so that workers share them.
+their own, so that workers share them. Commands run in this process: a process of their own would
+load compiled code for 3 s each; what a process adds is tested in test_commands_cli and test_daemon.
 """
 
+import contextlib
+import io
 import json
 import os
 import re
-import subprocess
-import sys
 
 import pytest
+from cli_calls import tagvio
 from doc_pages import (
     PAGES,
     ROOT,
@@ -25,23 +27,23 @@ from doc_pages import (
 from once import once
 
 README = text_of(ROOT / "README.md")
-TAGVIO = [sys.executable, "-c", "from vio.cli import main; main()"]
 # Commands whose run is another test: test_commands_cli.test_warmup_says_how_long_it_took.
 ELSEWHERE = [["warmup"]]
 
 
-def environment():
-    """That of a user in the checkout: the code here, on a terminal of 100 columns."""
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    return {**os.environ, "COLUMNS": "100", "PYTHONPATH": path}
+@contextlib.contextmanager
+def user_in(folder):
+    """Within it the process is a user's: in a folder, on a terminal of 100 columns."""
+    with contextlib.chdir(folder), pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COLUMNS", "100")
+        yield
 
 
-def run(words, cwd):
-    done = subprocess.run(
-        [*TAGVIO, *words], cwd=cwd, env=environment(), capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, f"tagvio {' '.join(words)}: {done.stderr}"
-    return done.stdout
+def run(words, folder):
+    with user_in(folder):
+        done = tagvio(*words)
+    assert done.code == 0, f"tagvio {' '.join(words)}: {done.err}"
+    return done.out
 
 
 @pytest.fixture(scope="session")
@@ -144,8 +146,6 @@ def names_of(words):
 
 
 def test_every_option_is_known_to_its_command(tmp_path):
-    from cli_calls import tagvio
-
     helps = {}
     for words in written_calls():
         names = names_of(words)
@@ -174,12 +174,10 @@ PYTHON = [(page, i) for page in PAGES for i, _ in enumerate(blocks(text_of(page)
 
 @pytest.mark.parametrize(("page", "i"), PYTHON, ids=lambda v: getattr(v, "stem", str(v)))
 def test_python_blocks_run(page, i, clone):
-    code = blocks(text_of(page), "python")[i]
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=clone, env=environment(), capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
-    assert "(6, 6)" in done.stdout
+    code, out = blocks(text_of(page), "python")[i], io.StringIO()
+    with user_in(clone), contextlib.redirect_stdout(out):
+        exec(compile(code, f"{page}, block {i}", "exec"), {"__name__": "__main__"})
+    assert "(6, 6)" in out.getvalue()
 
 
 def test_readme_has_a_python_example():

@@ -36,12 +36,6 @@ def unit(module: str) -> str:
     return ".".join(module.split(".")[:2])
 
 
-@cache
-def modules(root: Path) -> list[house.Module]:
-    """Every module of a checkout, read once."""
-    return house.modules(root)
-
-
 def dependencies(found: list[house.Module]) -> dict[str, set[str]]:
     """Which folders each folder imports."""
     needs: dict[str, set[str]] = defaultdict(set)
@@ -56,6 +50,7 @@ def dependencies(found: list[house.Module]) -> dict[str, set[str]]:
 def reduced(needs: dict[str, set[str]]) -> dict[str, set[str]]:
     """The same without arrows that a longer way says as well."""
 
+    @cache
     def reached(name: str) -> set[str]:
         below = needs.get(name, set())
         return below.union(*(reached(one) for one in below))
@@ -168,7 +163,7 @@ def svg(root: Path) -> str:
     """The picture of a checkout, as the text of an SVG file."""
     units = order(root)
     drawn = [name for name in units if name.split(".")[1] not in FOUNDATIONS]
-    needs = dependencies(modules(root))
+    needs = dependencies(house.modules(root))
     kept = {name: {n for n in needs[name] if n in drawn} for name in drawn}
     layers = Layers(drawn, reduced(kept))
     width = max(layers.x[n] + BOX / 2 for n in drawn) + MARGIN

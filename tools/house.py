@@ -9,6 +9,7 @@ import ast
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 PACKAGES = ("tagvo", "vio")
@@ -28,8 +29,9 @@ class Module:
     lines: int
 
 
+@cache
 def modules(root: Path) -> list[Module]:
-    """Every module of both packages, by name."""
+    """Every module of both packages, by name; read once."""
     found = []
     for path in sorted(p for top in PACKAGES for p in (root / top).rglob("*.py")):
         name = ".".join(path.relative_to(root).with_suffix("").parts).removesuffix(".__init__")
@@ -38,18 +40,31 @@ def modules(root: Path) -> list[Module]:
     return found
 
 
-def imported(module: Module) -> Iterator[str]:
-    """What a module imports, at its top or within a function."""
-    for node in ast.walk(module.tree):
+@cache
+def nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
+    """All nodes of a tree, walked once."""
+    return tuple(ast.walk(tree))
+
+
+def imported(module: Module, *, at_top: bool = False) -> tuple[str, ...]:
+    """What a module imports, at its top or (unless at_top) within a function."""
+    return _imported(module.tree, at_top)
+
+
+@cache
+def _imported(tree: ast.Module, at_top: bool) -> tuple[str, ...]:
+    names: list[str] = []
+    for node in tree.body if at_top else nodes(tree):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            names += (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
-            yield from (f"{node.module}.{alias.name}" for alias in node.names)
+            names += (f"{node.module}.{alias.name}" for alias in node.names)
+    return tuple(names)
 
 
 def functions(module: Module) -> Iterator[Function]:
     """All functions and methods of a module."""
-    return (n for n in ast.walk(module.tree) if isinstance(n, Function))
+    return (n for n in nodes(module.tree) if isinstance(n, Function))
 
 
 def is_kernel(function: Function) -> bool:
@@ -115,7 +130,7 @@ def wide_groups(found: list[Module]) -> list[str]:
     groups = [
         (f"{module.name}.{n.name}", sum(isinstance(item, ast.AnnAssign) for item in n.body))
         for module in found
-        for n in ast.walk(module.tree)
+        for n in nodes(module.tree)
         if isinstance(n, ast.ClassDef) and any(ast.unparse(b) == "NamedTuple" for b in n.bases)
     ]
     return [f"{name} ({fields})" for name, fields in groups if fields > MOST_ARGUMENTS]
@@ -127,7 +142,7 @@ def component_loops(found: list[Module]) -> Counter[str]:
     for module in found:
         if module.name.startswith("tagvo.kernels"):
             continue
-        for node in ast.walk(module.tree):
+        for node in nodes(module.tree):
             if isinstance(node, ast.For) and ast.unparse(node.iter) in ("range(3)", "range(6)"):
                 count[module.name] += 1
     return count

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import architecture_picture as picture
+import house
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -33,7 +34,7 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
 def folders() -> str:
     """What each folder or root module holds, in the order of the imports."""
     units = picture.order(ROOT)
-    found = {module.name: module for module in picture.modules(ROOT)}
+    found = {module.name: module for module in house.modules(ROOT)}
     needs = picture.reduced(picture.dependencies(list(found.values())))
     rows = []
     for name in units:

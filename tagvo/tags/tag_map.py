@@ -13,7 +13,7 @@ from tagvo import geometry as geo
 from tagvo.errors import MapError, choose_one_of, shown
 from tagvo.geometry import Array, IntArray
 from tagvo.tags.families import Family, family_named
-from tagvo.textfile import finite_numbers, is_number, read_yaml, write_atomic
+from tagvo.textfile import finite_numbers, flow_line, is_number, read_yaml, write_atomic
 
 SIZE_KINDS = ("border", "total")
 SIDES_M = (1e-3, 10.0)  # no printer makes less, no hall has more
@@ -324,8 +324,7 @@ def map_to_yaml(tag_map: TagMap) -> str:
     data = map_to_dict(tag_map)
     tags = data.pop("tags")
     head = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=100)
-    lines = (yaml.safe_dump(t, default_flow_style=True, sort_keys=False, width=1000) for t in tags)
-    return head + "tags:\n" + "".join(f"  - {line}" for line in lines)
+    return head + "tags:\n" + "".join(f"  - {flow_line(tag)}" for tag in tags)
 
 
 def save_map(tag_map: TagMap, path: Path) -> None:

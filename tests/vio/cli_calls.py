@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from once import once
 from simulated import DOWN, corners_seen, grid_map, pinhole
 from small_log import DETECTIONS_HEADER, FRAMES_HEADER, TRUTH_HEADER
 
@@ -49,6 +50,16 @@ def tagvio(*words) -> Done:
     finally:
         sys.argv = argv
     return Done(code, out.getvalue(), err.getvalue())
+
+
+def rendered_log(tmp_path_factory) -> Path:
+    """Two seconds of images, IMU and truth, drawn once for all workers; to be read alone."""
+
+    def make(root):
+        done = tagvio("simulate", "t1_qr", "--out", root / "log", *SET_SHORT)
+        assert done.code == 0, done.err
+
+    return once(tmp_path_factory, "rendered", make) / "log"
 
 
 def write_true_log(root: Path, frames: int = 12, speed: float = 0.4, **map_keys) -> Path:

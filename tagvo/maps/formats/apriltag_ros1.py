@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import yaml
-
 from tagvo.errors import MapError, choose_one_of
 from tagvo.maps.formats.common import (
     Content,
@@ -18,6 +16,7 @@ from tagvo.maps.formats.common import (
     tag_dicts,
 )
 from tagvo.tags.tag_map import TagMap
+from tagvo.textfile import flow_line
 
 TITLE = "apriltag_ros (ROS 1) tags.yaml"
 
@@ -70,7 +69,7 @@ def _write(tag_map: TagMap) -> Exported:
         keys = ("x", "y", "z", "qw", "qx", "qy", "qz")
         values = dict(zip(keys, [*tag["p"], *tag["q"]], strict=True))
         entry = {"id": tag["id"], "size": tag["size"], **values}
-        flow = yaml.safe_dump(entry, default_flow_style=True, sort_keys=False, width=1000)
+        flow = flow_line(entry)
         lines.append(f"      - {flow.strip()}")
     return Exported("\n".join(lines) + "\n")
 

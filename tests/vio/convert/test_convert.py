@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_calls import SET_SHORT, tagvio
+from cli_calls import rendered_log, tagvio
 from flying_log import write_flying_log
 from numpy.testing import assert_allclose, assert_array_equal
 from once import once
@@ -31,13 +31,7 @@ TRUTH = "mav0/state_groundtruth_estimate0/data.csv"
 
 @pytest.fixture(scope="session")
 def rendered(tmp_path_factory):
-    """Two seconds of images, IMU and truth, once for all workers."""
-
-    def make(root):
-        done = tagvio("simulate", "t1_qr", "--out", root / "log", *SET_SHORT)
-        assert done.code == 0, done.err
-
-    return once(tmp_path_factory, "rendered", make) / "log"
+    return rendered_log(tmp_path_factory)
 
 
 @pytest.fixture(scope="session")

@@ -4,13 +4,13 @@ import json
 import os
 import signal
 import socket
-import subprocess
 import time
 
 import numpy as np
 import pytest
+from cli_calls import tagvio
 from fc_live import Live, free_port, udp_to, until
-from still_flight import P_WI, TAGVIO, Daemon, limit_s, write_config, write_images
+from still_flight import P_WI, Daemon, limit_s, write_config, write_images
 
 VISION = "VISION_POSITION_ESTIMATE"
 TRACK = ("--set", "tagvo.track.mode=on")
@@ -33,9 +33,8 @@ def vision(live):
 
 
 def rerun(log, out, *words):
-    done = subprocess.run([*TAGVIO, "run", str(log), "--out", str(out), *words],
-                          capture_output=True, text=True)  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    done = tagvio("run", log, "--out", out, *words)
+    assert done.code == 0, done.err
     return out
 
 

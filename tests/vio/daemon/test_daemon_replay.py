@@ -11,6 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import yaml
+from cli_calls import tagvio
 from fc_ardupilot import ArduPilot
 from fc_live import Live, free_port, udp_to
 from flying_log import write_flying_log
@@ -137,22 +138,8 @@ def test_a_wrong_configuration_is_one_line_before_anything_is_sent(images, tmp_p
 
 def call_main(*words):
     """The command in this process: returns (exit code, stderr)."""
-    import contextlib
-    import io
-    import sys
-
-    from vio.cli import main
-
-    before, err = sys.argv, io.StringIO()
-    sys.argv = ["tagvio", *words]
-    try:
-        with contextlib.redirect_stderr(err), contextlib.redirect_stdout(io.StringIO()):
-            main()
-    except SystemExit as end:
-        return end.code, err.getvalue()
-    finally:
-        sys.argv = before
-    return 0, err.getvalue()
+    done = tagvio(*words)
+    return done.code, done.err
 
 
 def one_line(outcome, text):

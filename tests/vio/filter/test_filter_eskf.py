@@ -195,23 +195,27 @@ def test_a_true_calibration_is_confirmed_and_held():
     assert abs(x[at.X_TD]) < 1e-3
 
 
-def test_inflation_follows_the_memory_of_the_errors():
+@pytest.fixture(scope="module")
+def white():
+    """A flight whose poses' errors remember nothing."""
+    return replay(fly("T3", 8, PoseNoise(slow=(0.0, 0.0), outliers=0.0, dropouts=0)))
+
+
+def test_inflation_follows_the_memory_of_the_errors(white):
     from vio.filter.adaptive_noise import NoisePolicy, inflation
 
     policy = NoisePolicy(4.0, True, False, 0.0, 1.0)
     slow = PoseNoise(white=(0.003, 0.1), slow=(0.02, 0.7), slow_s=0.3, outliers=0.0, dropouts=0)
-    white = replay(fly("T3", 8, PoseNoise(slow=(0.0, 0.0), outliers=0.0, dropouts=0)))
     correlated = replay(fly("T3", 8, slow))
     assert inflation(white.estimator.state(), policy, True) < 2.5
     assert inflation(correlated.estimator.state(), policy, True) > 6.0
 
 
-def test_the_slow_share_is_learnt():
+def test_the_slow_share_is_learnt(white):
     """Errors that last 5 s are told from white ones; where they are told nothing, none is."""
     from vio.filter.adaptive_noise import NoisePolicy, slow_share
 
     policy = NoisePolicy(4.0, True, False, 0.0, 1.0)
-    white = replay(fly("T3", 8, PoseNoise(slow=(0.0, 0.0), outliers=0.0, dropouts=0)))
     slow = replay(fly("T3", 8, PoseNoise(slow=(0.025, 1.0), outliers=0.0, dropouts=0)))  # half
     assert slow_share(white.estimator.state(), policy, True)[0] < 0.1
     of_positions, of_rotations = slow_share(slow.estimator.state(), policy, True)

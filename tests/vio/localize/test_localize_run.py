@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_calls import tagvio
+from cli_calls import rendered_log
 from flying_log import write_flying_log
 from numba.core.registry import CPUDispatcher
 from simulated import DOWN, grid_map, pinhole, shot
@@ -164,17 +164,13 @@ def compiled_signatures():
     return {f"{f.py_func.__module__}.{f.py_func.__name__}": set(f.signatures) for f in ours}
 
 
-def test_after_the_warm_up_a_run_compiles_nothing(tmp_path):
+def test_after_the_warm_up_a_run_compiles_nothing(tmp_path, tmp_path_factory):
     """In a process of its own: others of these tests have compiled what they wanted.
 
     Corners of a file, and images searched by either library and tracked: what a detector gives may
     lie otherwise in memory, and is compiled for anew.
     """
-    log, seen = write_flying_log(tmp_path, seconds=3.0), tmp_path / "seen"
-    way = "flight.waypoints=[[0,1.5,2.0,0.9,0],[1.5,1.5,2.2,0.9,0]]"
-    short = ["flight.name=waypoints", way, "flight.takeoff=false", "stream.rate_hz=10"]
-    words = [w for s in short for w in ("--set", s)]
-    assert tagvio("simulate", "t1_qr", "--out", seen, *words).code == 0
+    log, seen = write_flying_log(tmp_path, seconds=3.0), rendered_log(tmp_path_factory)
     here = Path(__file__).parent
     code = f"""
 import sys
