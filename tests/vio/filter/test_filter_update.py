@@ -224,6 +224,6 @@ def test_still_rig_and_clock_pull_their_states():
     assert constraints.update_clock(x, P, z, PLAIN)[0] == kinds.ACCEPTED
     assert x[at.X_TD] == pytest.approx(0.004, abs=1e-6)
     R_file = geo.matrix_from_quat(x[at.X_QIC : at.X_QIC + 4]) @ geo.exp(np.array([0.01, 0.02, 0.0]))
-    z = constraints.rotation(geo.quat_from_matrix(R_file), 1e-5)[2:]
+    z = constraints.rotation(geo.quat_from_matrix(R_file), 1e-5)[kinds.HEAD :]
     assert constraints.update_rotation(x, P, z, PLAIN)[0] == kinds.ACCEPTED
     assert geo.angle(R_file.T @ geo.matrix_from_quat(x[at.X_QIC : at.X_QIC + 4])) < 1e-5
