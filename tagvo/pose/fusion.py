@@ -85,7 +85,7 @@ def fuse(p: Array, R: Array, weights: Array, mean: str) -> tuple[Array, Array, t
 
     Paper, section Multi-tags Estimate Fusion; the position sum is divided by the weights' sum.
     """
-    (w, x, y, z), flags = MEAN[mean](_quaternions(R), weights)
+    q, flags = MEAN[mean](_quaternions(R), weights)
     R_mean = np.empty((3, 3))
-    matrix_into(R_mean, w, x, y, z)
+    matrix_into(R_mean, *q.tolist())
     return (weights @ p) / weights.sum(), R_mean, flags
