@@ -20,7 +20,7 @@ _AHEAD_NS = 50_000_000  # how far a state is predicted beyond the newest sample
 def nav_state(t_ns: int, x: Array, P: Array, known_ns: int | None = None) -> NavState:
     """The record of a nominal state x (NOMINAL,) and its covariance P (n, n)."""
     R_WI = np.empty((3, 3))
-    matrix_into(R_WI, *x[at.X_Q : at.X_Q + 4].tolist())  # 1 us; by geometry's function 30
+    matrix_into(R_WI, *x[at.X_Q : at.X_Q + 4].tolist())  # 1 us; geometry takes 38
     p_WI, v_WI = x[at.X_P : at.X_P + 3].copy(), x[at.X_V : at.X_V + 3].copy()
     return NavState(t_ns, p_WI, R_WI, v_WI, P[_PICK], known_ns)
 

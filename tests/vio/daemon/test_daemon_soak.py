@@ -7,7 +7,7 @@ sys.path.append(str(Path(__file__).parents[2] / "oracles"))
 
 from soak_flight import soak
 
-SECONDS = 8
+SECONDS = 12
 
 
 def test_nothing_is_lost_and_memory_is_flat(tmp_path):
